@@ -1,0 +1,68 @@
+"""Everything that can be wrong with what the user gave us.
+
+SplatmorphError                 one line: what was found, what was expected, what to do
+├── ReadError                   a file that can't be read as what it should be
+│   └── LocalFrameError         a triangle-local avatar where a world-space splat was expected
+├── WriteError                  an output that can't be written; nothing half-written is left
+│   └── OutputExistsError       an output that is already there
+├── LandmarkError               points that don't match, repeat, or lie where they can't
+├── FitError                    a fit that can't go on
+│   └── NonFiniteError          loss or flow became NaN or infinite
+├── RunError                    a run directory that is incomplete, corrupt or foreign
+├── OptionError                 a value that an option can't take
+└── MissingExtraError           an optional package is needed; the line says how to install it
+
+The command line prints the line and exits with 1; the library raises it.
+"""
+
+from __future__ import annotations
+
+
+class SplatmorphError(Exception):
+    """Base of every error caused by the data or the environment rather than by a bug."""
+
+
+class ReadError(SplatmorphError):
+    """A file that can't be read as what it should be."""
+
+
+class LocalFrameError(ReadError):
+    """A triangle-local avatar (GaussianAvatars) where a world-space splat was expected."""
+
+
+class WriteError(SplatmorphError):
+    """An output that can't be written. Nothing half-written is left behind."""
+
+
+class OutputExistsError(WriteError):
+    """An output that is already there and may not be replaced."""
+
+
+class LandmarkError(SplatmorphError):
+    """Landmarks that don't match, repeat, are too few, or lie where they can't."""
+
+
+class FitError(SplatmorphError):
+    """A fit that can't go on."""
+
+
+class NonFiniteError(FitError):
+    """The loss or the flow became NaN or infinite."""
+
+
+class RunError(SplatmorphError):
+    """A run directory that is incomplete, corrupt or foreign."""
+
+
+class OptionError(SplatmorphError):
+    """A value that an option can't take."""
+
+
+class MissingExtraError(SplatmorphError):
+    """An optional package is needed; the message says how to install it."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        super().__init__(
+            f"{purpose} needs the package '{package}', which is not installed: "
+            f"run  pip install 'splatmorph[{extra}]'"
+        )

@@ -1,0 +1,114 @@
+"""Gaussians: the one container of a splat."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+MAX_SH_DEGREE = 4
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """A set of n anisotropic 3D Gaussians in the stored parametrisation.
+
+    The fields hold what a splat file holds (log scales, opacity logits, quaternions as they
+    came), so that reading and writing lose no bit; the properties give what is rendered.
+
+    Raises ``ValueError`` where the shapes don't agree: a programming error, not a data error
+    (files are checked by the module that reads them).
+    """
+
+    means: Tensor
+    """(n, 3) centers, world units."""
+    quats: Tensor
+    """(n, 4) rotations local → world, wxyz, as stored: may be unnormalised."""
+    log_scales: Tensor
+    """(n, 3) natural log of the standard deviations along the local axes, world units."""
+    opacity_logits: Tensor
+    """(n,) logit of the opacity."""
+    sh: Tensor
+    """(n, (degree + 1)**2, 3) spherical-harmonic colour coefficients, RGB last."""
+    extras: Mapping[str, Tensor] = field(default_factory=dict)
+    """Properties of the file that we don't know, one (n,) tensor each, kept for writing."""
+
+    def __post_init__(self) -> None:
+        n = self.means.shape[0]
+        shapes = {
+            "means": (self.means, (n, 3)),
+            "quats": (self.quats, (n, 4)),
+            "log_scales": (self.log_scales, (n, 3)),
+            "opacity_logits": (self.opacity_logits, (n,)),
+            "sh": (self.sh, (n, self.sh.shape[1] if self.sh.ndim == 3 else -1, 3)),
+            **{name: (value, (n,)) for name, value in self.extras.items()},
+        }
+        for name, (value, shape) in shapes.items():
+            if tuple(value.shape) != shape:
+                raise ValueError(f"{name} has shape {tuple(value.shape)}, expected {shape}")
+        if (self.sh_degree + 1) ** 2 != self.sh.shape[1] or self.sh_degree > MAX_SH_DEGREE:
+            raise ValueError(
+                f"sh has {self.sh.shape[1]} coefficients a channel, expected 1, 4, 9, 16 or 25"
+            )
+
+    def __len__(self) -> int:
+        return int(self.means.shape[0])
+
+    @property
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 4."""
+        return math.isqrt(self.sh.shape[1]) - 1
+
+    @property
+    def scales(self) -> Tensor:
+        """(n, 3) standard deviations along the local axes, world units."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> Tensor:
+        """(n,) opacities in [0, 1]."""
+        return self.opacity_logits.sigmoid()
+
+    def select(self, index: Tensor) -> Gaussians:
+        """The splats at ``index``: a (m,) tensor of indices or an (n,) boolean mask."""
+        return replace(
+            self,
+            means=self.means[index],
+            quats=self.quats[index],
+            log_scales=self.log_scales[index],
+            opacity_logits=self.opacity_logits[index],
+            sh=self.sh[index],
+            extras={name: value[index] for name, value in self.extras.items()},
+        )
+
+    def with_sh_degree(self, degree: int) -> Gaussians:
+        """The same splats with the SH cut to, or padded with zeros to, ``degree``."""
+        wanted = (degree + 1) ** 2
+        have = self.sh.shape[1]
+        if have == wanted:
+            return self
+        kept = self.sh[:, : min(have, wanted)]
+        padding = kept.new_zeros(len(self), max(0, wanted - have), 3)
+        return replace(self, sh=torch.cat([kept, padding], dim=1))
+
+    @staticmethod
+    def union(first: Gaussians, second: Gaussians) -> Gaussians:
+        """All splats of both, ``first`` before ``second``: G⁰ ∪ G¹ of the paper's eq. 7.
+
+        The SH degree is the higher one; extras that only one side has are dropped, since they
+        would have no value on the other.
+        """
+        degree = max(first.sh_degree, second.sh_degree)
+        a, b = first.with_sh_degree(degree), second.with_sh_degree(degree)
+        shared = [name for name in a.extras if name in b.extras]
+        return Gaussians(
+            means=torch.cat([a.means, b.means]),
+            quats=torch.cat([a.quats, b.quats]),
+            log_scales=torch.cat([a.log_scales, b.log_scales]),
+            opacity_logits=torch.cat([a.opacity_logits, b.opacity_logits]),
+            sh=torch.cat([a.sh, b.sh]),
+            extras={name: torch.cat([a.extras[name], b.extras[name]]) for name in shared},
+        )
