@@ -1,0 +1,213 @@
+"""PLY splats: Inria's layout out, any order and number type in. The only importer of plyfile."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from plyfile import PlyData, PlyElement, PlyParseError
+
+from splatmorph._version import __version__
+from splatmorph.errors import LocalFrameError, ReadError
+from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
+from splatmorph.io.atomic import atomic_write
+from splatmorph.io.checks import check_stored
+
+Columns = Mapping[str, NDArray[np.generic]]
+
+MEANS = ("x", "y", "z")
+NORMALS = ("nx", "ny", "nz")
+COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
+SCALES = ("scale_0", "scale_1", "scale_2")
+QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
+REQUIRED = (*MEANS, *COLOUR, "opacity", *SCALES, *QUATS)
+BINDING = "binding_0"
+
+# torch has little arithmetic for wide unsigned integers; these hold every value of theirs.
+EXTRA_TYPES = {np.dtype("u2"): np.dtype("i4"), np.dtype("u4"): np.dtype("f8")}
+
+
+def read_ply(path: str | Path) -> Gaussians:
+    """Read a splat in world space from a PLY file: ascii or binary, properties in any order.
+
+    Raises:
+        LocalFrameError: positions are in the frames of mesh triangles (``binding_0``).
+        ReadError: see :func:`splatmorph.io.read`.
+    """
+    columns = read_properties(path)
+    if BINDING in columns:
+        raise LocalFrameError(
+            f"{path} is a GaussianAvatars file (property {BINDING}): its splats lie in the frames "
+            "of mesh triangles; give the avatar's directory, with flame_param.npz or "
+            "mesh_verts.npy beside the file, or run  splatmorph bake  first"
+        )
+    return gaussians_from_properties(columns, path)
+
+
+def read_properties(path: str | Path) -> dict[str, NDArray[np.generic]]:
+    """The vertex properties of a PLY file by name, (n,) each, native byte order, as stored.
+
+    Raises:
+        ReadError: the file is missing, empty, truncated, no PLY, or has no vertices.
+    """
+    path = Path(path)
+    try:
+        if path.stat().st_size == 0:
+            raise ReadError(f"{path} is empty, expected a PLY file: export or download it again")
+        # Copy on write: columns are copied below, so the file is read only once.
+        vertex = PlyData.read(path, mmap="c")
+    except OSError as error:
+        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
+    except (PlyParseError, ValueError, UnicodeDecodeError, OverflowError, MemoryError) as error:
+        raise ReadError(f"{path} is no whole PLY file: {_parse_reason(error)}") from error
+    if "vertex" not in vertex:
+        names = ", ".join(element.name for element in vertex.elements) or "nothing"
+        raise ReadError(f"{path} has no vertices (it holds {names}), expected a splat PLY")
+    data = vertex["vertex"].data
+    columns = _columns(data)
+    columns = {name: value for name, value in columns.items() if value.dtype != object}
+    _require_splat(path, columns, {element.name for element in vertex.elements})
+    if len(data) == 0:
+        raise ReadError(f"{path} holds 0 splats, expected at least one: export it again")
+    return columns
+
+
+def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
+    """The splat that PLY properties describe; ``path`` is for the messages.
+
+    Raises:
+        ReadError: the SH count fits no degree, or values that no renderer can show.
+    """
+    rest = _rest_names(columns, path)
+    per_channel = len(rest) // 3
+    n = len(columns["x"])
+    sh = np.empty((n, per_channel + 1, 3), np.float32)
+    sh[:, 0] = _stack(columns, COLOUR)
+    if rest:
+        sh[:, 1:] = _stack(columns, rest).reshape(n, 3, per_channel).transpose(0, 2, 1)
+    known = {*REQUIRED, *rest, *NORMALS}
+    extras = {name: _extra(value) for name, value in columns.items() if name not in known}
+    if any(np.any(columns[name]) for name in NORMALS if name in columns):
+        extras |= {name: _extra(columns[name]) for name in NORMALS}
+    gaussians = Gaussians(
+        means=torch.from_numpy(_stack(columns, MEANS)),
+        quats=torch.from_numpy(_stack(columns, QUATS)),
+        log_scales=torch.from_numpy(_stack(columns, SCALES)),
+        opacity_logits=torch.from_numpy(columns["opacity"].astype(np.float32)),
+        sh=torch.from_numpy(sh),
+        extras=extras,
+    )
+    check_stored(gaussians, path)
+    return gaussians
+
+
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Write Inria's layout, float32 little endian: x y z, normals, SH, opacity, scales, quats.
+
+    Normals are zero unless the splat was read with others. Extras follow in their own types.
+
+    Raises:
+        WriteError: see :func:`splatmorph.io.write`.
+    """
+    element = PlyElement.describe(_records(gaussians), "vertex")
+    header = [f"Generated by splatmorph {__version__}", "Vertical Axis: y"]
+    header += [line.encode("ascii", "replace").decode() for line in comments]
+    with atomic_write(path) as partial:
+        PlyData([element], byte_order="<", comments=header).write(partial)
+
+
+def _records(gaussians: Gaussians) -> NDArray[np.void]:
+    per_channel = gaussians.sh.shape[1] - 1
+    rest = [f"f_rest_{i}" for i in range(3 * per_channel)]
+    names = [*MEANS, *NORMALS, *COLOUR, *rest, "opacity", *SCALES, *QUATS]
+    extras = {name: value.cpu().numpy() for name, value in gaussians.extras.items()}
+    appended = {name: value for name, value in extras.items() if name not in NORMALS}
+    fields = [(name, np.dtype("<f4")) for name in names]
+    fields += [(name, value.dtype.newbyteorder("<")) for name, value in appended.items()]
+    n = len(gaussians)
+    table = np.zeros((n, len(names)), "<f4")
+    sh = gaussians.sh.cpu().numpy()
+    table[:, 0:3] = gaussians.means.cpu()
+    for i, name in enumerate(NORMALS):
+        if name in extras:
+            table[:, 3 + i] = extras[name]
+    table[:, 6:9] = sh[:, 0]
+    table[:, 9 : 9 + len(rest)] = sh[:, 1:].transpose(0, 2, 1).reshape(n, -1)
+    table[:, -8] = gaussians.opacity_logits.cpu()
+    table[:, -7:-4] = gaussians.log_scales.cpu()
+    table[:, -4:] = gaussians.quats.cpu()
+    if not appended:
+        return table.view(fields)[:, 0]
+    records = np.empty(n, fields)
+    for i, name in enumerate(names):
+        records[name] = table[:, i]
+    for name, value in appended.items():
+        records[name] = value
+    return records
+
+
+def _columns(data: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:
+    names = data.dtype.names or ()
+    types = {data.dtype[name] for name in names}
+    if len(types) == 1 and object not in types and data.dtype.itemsize == 4 * len(names):
+        # One type throughout: one pass over the file instead of one a property.
+        only = types.pop()
+        table = np.asarray(data).view(only).reshape(len(data), len(names))
+        if not only.isnative:
+            table = table.astype(only.newbyteorder("="))
+        return {name: table[:, i] for i, name in enumerate(names)}
+    return {name: data[name].astype(data.dtype[name].newbyteorder("=")) for name in names}
+
+
+def _stack(columns: Columns, names: Sequence[str]) -> NDArray[np.float32]:
+    out = np.empty((len(columns[names[0]]), len(names)), np.float32)
+    for i, name in enumerate(names):
+        out[:, i] = columns[name]
+    return out
+
+
+def _extra(value: NDArray[np.generic]) -> torch.Tensor:
+    return torch.from_numpy(np.array(value, EXTRA_TYPES.get(value.dtype, value.dtype)))
+
+
+def _rest_names(columns: Columns, path: str | Path) -> list[str]:
+    found = {name for name in columns if re.fullmatch(r"f_rest_\d+", name)}
+    count = len(found)
+    rest = [f"f_rest_{i}" for i in range(count)]
+    allowed = [3 * ((degree + 1) ** 2 - 1) for degree in range(MAX_SH_DEGREE + 1)]
+    if count not in allowed or found != set(rest):
+        raise ReadError(
+            f"{path} has {count} f_rest properties, which fit no SH degree: expected "
+            f"{', '.join(map(str, allowed))}, numbered from 0; export it again with one SH degree"
+        )
+    return rest
+
+
+def _require_splat(path: Path, columns: Columns, elements: set[str]) -> None:
+    missing = [name for name in REQUIRED if name not in columns]
+    if not missing:
+        return
+    if "packed_position" in columns:
+        kind = "a compressed splat PLY; convert it to a plain PLY first (SuperSplat exports one)"
+    elif {"face", "tristrips"} & elements:
+        kind = "a mesh; train or convert it to 3D Gaussians first"
+    elif len(missing) < len(REQUIRED) - len(MEANS) - 1:
+        kind = f"an incomplete splat, without {', '.join(missing)}; export it again in full"
+    elif "red" in columns or "r" in columns:
+        kind = "a coloured point cloud; train or convert it to 3D Gaussians first"
+    else:
+        kind = f"no splat, for it lacks {', '.join(missing)}"
+    raise ReadError(f"{path} is {kind}")
+
+
+def _parse_reason(error: Exception) -> str:
+    text = str(error)
+    if "early end-of-file" in text or "mmap length" in text or "buffer" in text:
+        return "it ends too early (truncated); download or export it again"
+    if isinstance(error, PlyParseError) and "expected 'ply'" in text:
+        return "it does not start with 'ply'; is it another format?"
+    return f"{text.splitlines()[0] if text else type(error).__name__}; export it again"

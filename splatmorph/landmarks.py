@@ -1,0 +1,299 @@
+"""Landmarks: named points on an object, and how two sets of them correspond."""
+
+from __future__ import annotations
+
+import csv
+import json
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from splatmorph.errors import LandmarkError, OptionError, ReadError
+from splatmorph.io.atomic import atomic_write
+
+FEWEST = {2: 3, 3: 4}
+"""Matched pairs below which an affine map of the plane, of space, is not determined."""
+
+AXES = "xyz"
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Points on one object, matched to another's by name, or by order where they have no names.
+
+    Raises:
+        LandmarkError: a name or a point that is not finite, a name given twice.
+    """
+
+    points: Tensor
+    """(k, dim) float64, world units (pixels for images)."""
+    names: tuple[str, ...] | None = None
+    """k names, or None: matched by order."""
+
+    def __post_init__(self) -> None:
+        if self.points.ndim != 2 or self.points.shape[1] not in FEWEST:
+            raise LandmarkError(
+                f"landmarks have shape {tuple(self.points.shape)}, expected (k, 3) or (k, 2)"
+            )
+        object.__setattr__(self, "points", self.points.to(torch.float64))
+        bad = ~torch.isfinite(self.points).all(dim=1)
+        if bad.any():
+            raise LandmarkError(
+                f"landmarks {self._list(bad)} have NaN or infinite coordinates: correct or "
+                "delete them"
+            )
+        if self.names is None:
+            return
+        if len(self.names) != len(self.points):
+            raise LandmarkError(f"{len(self.names)} names for {len(self.points)} landmarks")
+        if len(set(self.names)) < len(self.names):
+            twice = sorted({name for name in self.names if self.names.count(name) > 1})
+            raise LandmarkError(
+                f"landmark names given twice: {_some(twice)}; a name must mean one point"
+            )
+
+    def __len__(self) -> int:
+        return int(self.points.shape[0])
+
+    @property
+    def dim(self) -> int:
+        """2 for images, 3 for splats."""
+        return int(self.points.shape[1])
+
+    @staticmethod
+    def read(path: str | Path, dim: int = 3) -> Landmarks:
+        """Read landmarks; the extension names the format.
+
+        ``.json`` (``{"points": {"name": [x, y, z]}}``, or a list of points), ``.npy``, ``.npz``,
+        ``.csv`` and ``.txt`` (a name column or none), MeshLab's ``.pp``.
+
+        Raises:
+            ReadError: the file is missing, of another format, or damaged.
+            LandmarkError: the points are no valid set.
+        """
+        path = Path(path)
+        reader = _READERS.get(path.suffix.lower())
+        if reader is None:
+            raise ReadError(
+                f"{path} has an extension we don't read landmarks from; we read "
+                f"{', '.join(sorted(_READERS))}"
+            )
+        try:
+            points, names = reader(path)
+            array = np.asarray(points, dtype=np.float64)
+        except OSError as error:
+            raise ReadError(f"can't read {path}: {error.strerror or error}") from error
+        except (ValueError, KeyError, TypeError, ElementTree.ParseError) as error:
+            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise ReadError(f"{path} holds no landmarks that we can read: {reason}") from error
+        if array.ndim != 2 or array.shape[1] != dim or len(array) == 0:
+            shape = "x".join(map(str, array.shape)) if array.size else "no points"
+            raise ReadError(f"{path} holds {shape}, expected k points of {dim} coordinates each")
+        try:
+            return Landmarks(torch.from_numpy(array), tuple(names) if names else None)
+        except LandmarkError as error:
+            raise LandmarkError(f"{path}: {error}") from error
+
+    @staticmethod
+    def beside(path: str | Path) -> Path | None:
+        """The landmark file that belongs to the input ``path``: ``<stem>.landmarks.*``."""
+        path = Path(path)
+        for extension in _READERS:
+            candidate = path.with_name(f"{path.stem}.landmarks{extension}")
+            if candidate.is_file():
+                return candidate
+        return None
+
+    def write(self, path: str | Path) -> None:
+        """Write ``.json``, whole or not at all.
+
+        Raises:
+            OptionError: another extension.
+            WriteError: the file can't be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() != ".json":
+            raise OptionError(f"landmarks are written as .json, not {path.name}")
+        rows = self.points.tolist()
+        points = dict(zip(self.names, rows, strict=True)) if self.names else rows
+        with atomic_write(path) as partial:
+            partial.write_text(json.dumps({"points": points}, indent=1) + "\n")
+
+    def match(self, target: Landmarks) -> tuple[Tensor, Tensor, tuple[str, ...]]:
+        """The pairs that both sets have, in the order of this one.
+
+        By name where both have names, else by order (the counts must agree). A pair that repeats
+        another in both its points is left out: it says nothing new.
+
+        Returns:
+            source points (m, dim), target points (m, dim), their m names.
+
+        Raises:
+            LandmarkError: dimensions or counts differ, too few pairs, or one point of either
+                side that is to go to two places.
+        """
+        if self.dim != target.dim:
+            raise LandmarkError(f"{self.dim}D landmarks can't be matched to {target.dim}D ones")
+        if self.names is not None and target.names is not None:
+            where = {name: i for i, name in enumerate(target.names)}
+            common = [name for name in self.names if name in where]
+            own = {name: i for i, name in enumerate(self.names)}
+            source_points = self.points[[own[name] for name in common]]
+            target_points = target.points[[where[name] for name in common]]
+        else:
+            if len(self) != len(target):
+                raise LandmarkError(
+                    f"{len(self)} source and {len(target)} target landmarks, matched by order "
+                    "since not both have names: expected equal counts, or names in both files"
+                )
+            names = self.names or target.names
+            common = list(names) if names else [str(i) for i in range(len(self))]
+            source_points, target_points = self.points, target.points
+        kept = _first_of_each(torch.cat([source_points, target_points], dim=1))
+        source_points, target_points = source_points[kept], target_points[kept]
+        common = [common[i] for i in kept.tolist()]
+        _refuse_few(common, self, target)
+        _refuse_contradictions(source_points, common, "source")
+        _refuse_contradictions(target_points, common, "target")
+        return source_points, target_points, tuple(common)
+
+    def check_near(self, low: Tensor, high: Tensor, what: str) -> None:
+        """Refuse points far outside the box from ``low`` to ``high`` (dim,) of the object.
+
+        Far means by more than the box's own diagonal: another unit, frame or object.
+
+        Raises:
+            LandmarkError: names the points.
+        """
+        diagonal = float((high - low).norm())
+        beyond = torch.maximum(low - self.points, self.points - high).amax(dim=1)
+        far = beyond > diagonal
+        if not far.any():
+            return
+        size = float((self.points.amax(0) - self.points.amin(0)).norm())
+        raise LandmarkError(
+            f"landmarks {self._list(far)} lie far outside {what} (its box measures "
+            f"{diagonal:.3g} corner to corner, the landmarks' {size:.3g}): expected points on the "
+            "object, in its units and frame"
+        )
+
+    def _list(self, chosen: Tensor) -> str:
+        index = chosen.nonzero().flatten().tolist()
+        return _some([self.names[i] if self.names else f"number {i}" for i in index])
+
+
+def _some(names: Sequence[str], most: int = 5) -> str:
+    shown = ", ".join(names[:most])
+    return shown if len(names) <= most else f"{shown} and {len(names) - most} more"
+
+
+def _first_of_each(rows: Tensor) -> Tensor:
+    """Indices, ascending, of the first of each set of equal rows."""
+    _, inverse = torch.unique(rows, dim=0, return_inverse=True)
+    first = torch.full((int(inverse.max()) + 1 if len(rows) else 0,), len(rows))
+    first.scatter_reduce_(0, inverse, torch.arange(len(rows)), "amin")
+    return first.sort().values
+
+
+def _refuse_few(common: Sequence[str], source: Landmarks, target: Landmarks) -> None:
+    needed = FEWEST[source.dim]
+    if len(common) >= needed:
+        return
+    found = f"{len(common)} matched landmark pair{'' if len(common) == 1 else 's'}"
+    if common:
+        found += f" ({_some(common)})"
+    examples = ""
+    if source.names and target.names:
+        examples = f"; the source has {_some(source.names, 3)}, the target {_some(target.names, 3)}"
+    raise LandmarkError(f"{found}, expected at least {needed} with the same names{examples}")
+
+
+def _refuse_contradictions(points: Tensor, names: Sequence[str], side: str) -> None:
+    _, inverse, counts = torch.unique(points, dim=0, return_inverse=True, return_counts=True)
+    doubled = counts[inverse] > 1
+    if not doubled.any():
+        return
+    first = int(inverse[doubled.nonzero()[0, 0]])
+    same = [name for name, group in zip(names, inverse.tolist(), strict=True) if group == first]
+    raise LandmarkError(
+        f"landmarks {_some(same)} are one and the same point in the {side} but not in the other "
+        "set: no flow can follow both; delete one of them"
+    )
+
+
+Parsed = tuple[object, Iterable[str] | None]
+
+
+def _read_json(path: Path) -> Parsed:
+    points = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_twice)
+    points = points["points"] if isinstance(points, dict) and "points" in points else points
+    if isinstance(points, dict):
+        return list(points.values()), list(points)
+    return points, None
+
+
+def _no_twice(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    names = [name for name, _ in pairs]
+    if len(set(names)) < len(names):
+        twice = sorted({name for name in names if names.count(name) > 1})
+        raise LandmarkError(
+            f"landmark names given twice: {_some(twice)}; a name must mean one point"
+        )
+    return dict(pairs)
+
+
+def _read_numpy(path: Path) -> Parsed:
+    stored = np.load(path, allow_pickle=False)
+    if isinstance(stored, np.ndarray):
+        return stored, None
+    with stored:
+        key = "points" if "points" in stored else stored.files[0]
+        return stored[key], [str(name) for name in stored["names"]] if "names" in stored else None
+
+
+def _read_table(path: Path) -> Parsed:
+    text = path.read_text(encoding="utf-8-sig")
+    rows = [
+        [cell.strip() for cell in row if cell.strip()]
+        for row in csv.reader(line.replace("\t", ",") for line in text.splitlines())
+    ]
+    rows = [row[0].split() if len(row) == 1 else row for row in rows if row]
+    rows = [row for row in rows if not row[0].startswith("#")]
+    if rows and not _is_number(rows[0][-1]):
+        rows = rows[1:]
+    if rows and not all(_is_number(row[0]) for row in rows):
+        return [[float(cell) for cell in row[1:]] for row in rows], [row[0] for row in rows]
+    return [[float(cell) for cell in row] for row in rows], None
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _read_picked_points(path: Path) -> Parsed:
+    picked = [
+        point
+        for point in ElementTree.fromstring(path.read_text(encoding="utf-8")).iter("point")
+        if point.get("active", "1") != "0"
+    ]
+    names = [point.get("name") or str(i) for i, point in enumerate(picked)]
+    return [[float(point.attrib[axis]) for axis in AXES] for point in picked], names
+
+
+_READERS: dict[str, Callable[[Path], Parsed]] = {
+    ".json": _read_json,
+    ".npy": _read_numpy,
+    ".npz": _read_numpy,
+    ".csv": _read_table,
+    ".txt": _read_table,
+    ".pp": _read_picked_points,
+}
