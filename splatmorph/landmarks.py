@@ -264,9 +264,11 @@ def _read_table(path: Path) -> Parsed:
     ]
     rows = [row[0].split() if len(row) == 1 else row for row in rows if row]
     rows = [row for row in rows if not row[0].startswith("#")]
+    named = False
     if rows and not _is_number(rows[0][-1]):
+        named = rows[0][0].lower() not in AXES
         rows = rows[1:]
-    if rows and not all(_is_number(row[0]) for row in rows):
+    if rows and (named or not all(_is_number(row[0]) for row in rows)):
         return [[float(cell) for cell in row[1:]] for row in rows], [row[0] for row in rows]
     return [[float(cell) for cell in row] for row in rows], None
 

@@ -1,0 +1,94 @@
+"""The command line. Only this package prints, asks or exits."""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated
+
+from cyclopts import App, CycloptsError, Parameter
+
+from splatmorph._version import __version__
+from splatmorph.app import console
+from splatmorph.errors import SplatmorphError
+
+COMMANDS = {
+    "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
+    "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
+    "render": "Render a run as a video or pictures; or any splat.",
+    "export": "Write the splats between as PLY files, one a time.",
+    "eval": "Measure a run: landmark errors, flow laws, folding, energies.",
+    "streamlines": "Draw the flow of a run.",
+    "view": "Look at a run in the browser, live or as one page to share.",
+    "bake": "Write a rigged avatar as a plain splat.",
+    "image": "Morph one picture into another.",
+    "demo": "Fit, render and export the sample pair.",
+}
+
+USAGE, FAILED, INTERRUPTED = 2, 1, 130
+
+app = App(
+    name="splatmorph",
+    help="Morph one 3D Gaussian splat into another, by flows.",
+    version=__version__,
+    help_format="markdown",
+)
+for _name, _help in COMMANDS.items():
+    # By import path: a command loads what it needs when it is called, and not before.
+    app.command(f"splatmorph.app.{_name}:{_name}", name=_name, help=_help)
+
+
+@app.meta.default
+def launch(
+    *tokens: Annotated[str, Parameter(show=False, allow_leading_hyphen=True)],
+    quiet: Annotated[
+        bool, Parameter(name=["--quiet", "-q"], negative="", help="Print errors only.")
+    ] = False,
+    verbose: Annotated[
+        bool, Parameter(name="--verbose", negative="", help="Show tracebacks.")
+    ] = False,
+) -> None:
+    """Morph one 3D Gaussian splat into another, by flows."""
+    console.manner.quiet, console.manner.verbose = quiet, verbose
+    app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+
+
+def run(tokens: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0, 1 (data) or 2 (usage)."""
+    # The interrupt is the fit's to handle: it keeps the best flow so far.
+    app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
+    try:
+        app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+    except CycloptsError:
+        return USAGE
+    except SplatmorphError as error:
+        return _failed(str(error))
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`); Python would complain at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FAILED
+    except KeyboardInterrupt:
+        console.fail("interrupted")
+        return INTERRUPTED
+    except MemoryError:
+        return _failed("out of memory: try a smaller --size, or fewer splats")
+    except Exception as error:
+        return _failed(
+            f"unexpected {type(error).__name__}: {error} "
+            "(a bug of ours: please report it with what --verbose prints)"
+        )
+    return 0
+
+
+def main() -> None:
+    """The entry point ``splatmorph``."""
+    sys.exit(run())
+
+
+def _failed(message: str) -> int:
+    console.fail(message)
+    if console.manner.verbose:
+        traceback.print_exc()
+    return FAILED

@@ -1,0 +1,5 @@
+"""``python -m splatmorph``."""
+
+from splatmorph.app import main
+
+main()

@@ -1,0 +1,94 @@
+"""What the terminal sees: results on stdout, progress and warnings on stderr."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from splatmorph.errors import OutputExistsError
+
+out = Console(highlight=False, soft_wrap=True)
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+@dataclass
+class Manner:
+    """How much the terminal wants to hear, set once from the global options."""
+
+    quiet: bool = False
+    """No progress, no summaries: only what failed."""
+    verbose: bool = False
+    """Tracebacks with the errors."""
+
+
+manner = Manner()
+
+
+def say(*parts: object) -> None:
+    """Print a result, unless ``--quiet``. Text is printed as it is: no markup in file names."""
+    if not manner.quiet:
+        out.print(*parts, markup=False)
+
+
+def warn(message: str) -> None:
+    """Print a warning to stderr, unless ``--quiet``."""
+    if not manner.quiet:
+        err.print(f"warning: {message}", style="yellow", markup=False)
+
+
+def fail(message: str) -> None:
+    """Print the one line of an error to stderr, whatever the manner."""
+    err.print(f"error: {message}", style="red", markup=False)
+
+
+def emit_json(value: Mapping[str, object]) -> None:
+    """Print one JSON document for a machine to read, whatever the manner."""
+    out.print_json(json.dumps(value, allow_nan=False, default=str), indent=2, highlight=False)
+
+
+def table(*columns: str, title: str | None = None) -> Table:
+    """A plain table: the first column text, the others numbers."""
+    made = Table(title=title, box=None, pad_edge=False, title_justify="left")
+    for i, column in enumerate(columns):
+        made.add_column(column, justify="left" if i == 0 else "right")
+    return made
+
+
+@contextlib.contextmanager
+def progress(what: str, total: int | None = None) -> Iterator[Callable[[int, str], None]]:
+    """A bar on stderr; call what it yields with (steps done so far, a short note)."""
+    columns = [
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.completed:.0f}/{task.total:.0f}" if total else "{task.completed:.0f}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[note]}"),
+    ]
+    with Progress(*columns, console=err, transient=True, disable=manner.quiet) as bar:
+        task = bar.add_task(what, total=total, note="")
+
+        def update(done: int, note: str = "") -> None:
+            bar.update(task, completed=done, note=note)
+
+        yield update
+
+
+def claim(path: Path, overwrite: bool) -> Path:
+    """``path``, if an output may be written there.
+
+    Raises:
+        OutputExistsError: something is there and ``overwrite`` is off.
+    """
+    if path.exists() and not overwrite:
+        raise OutputExistsError(
+            f"{path} is already there: give -w to overwrite it, or -o to write elsewhere"
+        )
+    return path

@@ -1,0 +1,120 @@
+"""The options that several commands share: one spelling, one meaning, one parser."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, NamedTuple
+
+import cyclopts
+from cyclopts import Parameter
+
+Input = Annotated[Path, Parameter(help="A splat (.ply) or an avatar's directory.")]
+RunPath = Annotated[Path, Parameter(help="The run directory that `splatmorph fit` wrote.")]
+Out = Annotated[Path | None, Parameter(name=["--out", "-o"], help="Where to write.")]
+Overwrite = Annotated[
+    bool, Parameter(name=["--overwrite", "-w"], negative="", help="Replace what is there.")
+]
+Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON for machines.")]
+Seed = Annotated[int, Parameter(name="--seed", help="Seed of everything random.")]
+Device = Annotated[
+    str, Parameter(name="--device", help="auto, cpu or cuda:0; auto takes a GPU if there is one.")
+]
+
+
+class Size(NamedTuple):
+    """Width and height of a picture in pixels."""
+
+    width: int
+    height: int
+
+
+class Times(NamedTuple):
+    """Times of a morph: a list, or a stretch that the command samples as it needs."""
+
+    values: tuple[float, ...]
+    stretch: bool
+
+
+def _text(tokens: Sequence[Any]) -> str:
+    return ",".join(str(token.value) for token in tokens)
+
+
+def _size(type_: Any, tokens: Sequence[Any]) -> Size:
+    found = re.fullmatch(r"(\d+)[xX×](\d+)", _text(tokens))
+    if not found or min(int(side) for side in found.groups()) < 1:
+        raise ValueError(f"{_text(tokens)!r} is no size; write WIDTHxHEIGHT, e.g. 512x512")
+    return Size(int(found[1]), int(found[2]))
+
+
+def _colour(type_: Any, tokens: Sequence[Any]) -> tuple[float, float, float] | None:
+    text = _text(tokens)
+    named = {"white": (1.0, 1.0, 1.0), "black": (0.0, 0.0, 0.0), "transparent": None}
+    if text in named:
+        return named[text]
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(
+            f"{text!r} is no colour; write r,g,b in 0..1 or 0..255, white, black or transparent"
+        ) from None
+    most = max(red, green, blue)
+    if min(red, green, blue) < 0 or most > 255:
+        raise ValueError(f"{text!r} is no colour: values run from 0 to 1, or from 0 to 255")
+    scale = 255.0 if most > 1 else 1.0
+    return (red / scale, green / scale, blue / scale)
+
+
+def _times(type_: Any, tokens: Sequence[Any]) -> Times:
+    text = _text(tokens)
+    try:
+        values = tuple(float(part) for part in re.split(r"[:,]", text))
+    except ValueError:
+        values = ()
+    stretch = ":" in text
+    finite = all(abs(value) < 1e6 for value in values)
+    if not values or not finite or (stretch and len(values) != 2):
+        raise ValueError(f"{text!r} is no time; write 0.5, a list 0,0.5,1 or a stretch 0:1")
+    return Times(values, stretch)
+
+
+SizeOption = Annotated[Size, Parameter(converter=_size, n_tokens=1)]
+ColourOption = Annotated[
+    tuple[float, float, float] | None, Parameter(converter=_colour, n_tokens=1, accepts_keys=False)
+]
+TimesOption = Annotated[
+    Times | None,
+    Parameter(name="--t", converter=_times, n_tokens=1, allow_leading_hyphen=True),
+]
+
+
+def choose_device(device: str) -> str:
+    """``auto`` resolved: a CUDA device if torch sees one, else ``cpu``.
+
+    Raises:
+        cyclopts.ValidationError: never; a wrong name is an OptionError of the library.
+    """
+    if device != "auto":
+        return device
+    import torch
+
+    return "cuda:0" if torch.cuda.is_available() else "cpu"
+
+
+__all__ = [
+    "ColourOption",
+    "Device",
+    "Input",
+    "Json",
+    "Out",
+    "Overwrite",
+    "RunPath",
+    "Seed",
+    "Size",
+    "SizeOption",
+    "Times",
+    "TimesOption",
+    "choose_device",
+    "cyclopts",
+]
