@@ -1,0 +1,117 @@
+"""Flow: the one-parameter group of warps that a morph travels along."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import torch
+from torch import Tensor, nn
+
+Times = Sequence[float] | Tensor
+
+
+class Flow(nn.Module):
+    """Φ(x, t): R^dim × R → R^dim with Φ(x, 0) = x and Φ(Φ(x, s), t) = Φ(x, s + t).
+
+    So the inverse of Φ(·, t) is Φ(·, -t), and a landmark pair (p, q) is met when
+    Φ(p, t) = Φ(q, t - 1) for one t, hence for all of them.
+
+    The public methods take and return world units. Inside, the flow lives in its *frame*: one
+    similarity, world = center + scale · unit, that ``fit`` chooses so that the landmarks of both
+    sides fill [-1, 1]^dim, and that is saved with the weights. Everything is computed in the
+    dtype of the points that are asked about. No parameter requires a gradient outside of ``fit``.
+
+    A subclass answers in unit coordinates by the methods whose names begin with ``unit_``.
+    """
+
+    kind: ClassVar[str]
+    center: Tensor
+    scale: Tensor
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        if dim not in (2, 3):
+            raise ValueError(f"dim is {dim}, expected 2 or 3")
+        self.dim = dim
+        self.register_buffer("center", torch.zeros(dim, dtype=torch.float64))
+        self.register_buffer("scale", torch.ones((), dtype=torch.float64))
+
+    def set_frame(self, center: Tensor, scale: float) -> None:
+        """Lay the frame: ``center`` (dim,) in world units, ``scale`` world units a unit."""
+        self.center.copy_(center)
+        self.scale.fill_(scale)
+
+    def to_unit(self, x: Tensor) -> Tensor:
+        """World points (m, dim) in the frame."""
+        return (x - self.center.to(x)) / self.scale.to(x)
+
+    def _to_world(self, x: Tensor, start: Tensor, moved: Tensor) -> Tensor:
+        # As a displacement, so that no rounding moves a point that the flow leaves in place.
+        return x + self.scale.to(x) * (moved - start)
+
+    def velocity(self, x: Tensor) -> Tensor:
+        """∂Φ/∂t(x, 0): (m, dim) world points -> (m, dim) world units per unit of t."""
+        return self.scale.to(x) * self.unit_velocity(self.to_unit(x))
+
+    def velocity_jacobian(self, x: Tensor) -> Tensor:
+        """∂v/∂x: (m, dim) world points -> (m, dim, dim), rows the components of v."""
+        return self.unit_velocity_jacobian(self.to_unit(x))
+
+    def forward(self, x: Tensor, t: float | Tensor) -> Tensor:
+        """Φ(x, t): (m, dim) world points, ``t`` a float or one time a point (m,) -> (m, dim)."""
+        unit = self.to_unit(x)
+        return self._to_world(x, unit, self.unit_forward(unit, t))
+
+    def trajectory(self, x: Tensor, times: Times) -> Tensor:
+        """Φ(x, t) for every t: (m, dim) world points, T times -> (T, m, dim), in one pass.
+
+        The times may come in any order, repeat, and have either sign.
+        """
+        unit = self.to_unit(x)
+        moved, _ = self.unit_trajectory(unit, as_floats(times), jacobian=False)
+        return self._to_world(x, unit, moved)
+
+    def trajectory_jacobian(self, x: Tensor, times: Times) -> tuple[Tensor, Tensor]:
+        """Φ(x, t) and ∂Φ/∂x(x, t) for every t: -> (T, m, dim) and (T, m, dim, dim)."""
+        unit = self.to_unit(x)
+        moved, jacobians = self.unit_trajectory(unit, as_floats(times), jacobian=True)
+        assert jacobians is not None
+        return self._to_world(x, unit, moved), jacobians
+
+    def jacobian(self, x: Tensor, t: float) -> Tensor:
+        """∂Φ/∂x(x, t): (m, dim) world points -> (m, dim, dim)."""
+        return self.trajectory_jacobian(x, [t])[1][0]
+
+    def config(self) -> dict[str, Any]:
+        """What ``flow_from_config`` needs to rebuild this flow before its state is loaded."""
+        return {"kind": self.kind, "dim": self.dim}
+
+    def unit_velocity(self, u: Tensor) -> Tensor:
+        """v(u) in the frame, (m, dim) -> (m, dim)."""
+        raise NotImplementedError
+
+    def unit_velocity_jacobian(self, u: Tensor) -> Tensor:
+        """∂v/∂u in the frame, (m, dim) -> (m, dim, dim)."""
+        raise NotImplementedError
+
+    def unit_forward(self, u: Tensor, t: float | Tensor) -> Tensor:
+        """Φ(u, t) in the frame, (m, dim) -> (m, dim)."""
+        raise NotImplementedError
+
+    def unit_trajectory(
+        self, u: Tensor, times: list[float], *, jacobian: bool
+    ) -> tuple[Tensor, Tensor | None]:
+        """Φ(u, t) for every t and, where asked, ∂Φ/∂u: (T, m, dim), (T, m, dim, dim)."""
+        raise NotImplementedError
+
+
+def as_floats(times: Times) -> list[float]:
+    """The times as plain floats."""
+    return [float(t) for t in times]
+
+
+def as_column(t: float | Tensor, u: Tensor) -> Tensor:
+    """A time or one time a point as a tensor that multiplies points (m, dim)."""
+    column = torch.as_tensor(t, dtype=u.dtype, device=u.device)
+    return column[:, None] if column.ndim else column
