@@ -1,7 +1,58 @@
-"""splatmorph: morph one 3D Gaussian splat into another, by flows."""
+"""splatmorph: morph one 3D Gaussian splat into another, by flows.
+
+import splatmorph as sm
+
+run = sm.load_run("a-b.run")
+for splat in run.sequence([0.25, 0.5, 0.75]):
+    ...
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 from splatmorph._version import __version__
 from splatmorph.errors import SplatmorphError
-from splatmorph.gaussians import Gaussians
 
-__all__ = ["Gaussians", "SplatmorphError", "__version__"]
+if TYPE_CHECKING:
+    from splatmorph.fitting import FitConfig, FitReport, fit
+    from splatmorph.flows import Flow, make_flow
+    from splatmorph.gaussians import Gaussians
+    from splatmorph.inputs import load_input
+    from splatmorph.io import read, write
+    from splatmorph.landmarks import Landmarks
+    from splatmorph.morph import Morph
+    from splatmorph.rendering import render
+    from splatmorph.run import load_run
+
+# Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
+_HOMES = {
+    "FitConfig": "fitting",
+    "FitReport": "fitting",
+    "Flow": "flows",
+    "Gaussians": "gaussians",
+    "Landmarks": "landmarks",
+    "Morph": "morph",
+    "fit": "fitting",
+    "load_input": "inputs",
+    "load_run": "run",
+    "make_flow": "flows",
+    "read": "io",
+    "render": "rendering",
+    "write": "io",
+}
+
+__all__ = ["SplatmorphError", "__version__", *_HOMES]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'splatmorph' has no attribute {name!r}")
+    value = getattr(importlib.import_module(f"splatmorph.{_HOMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

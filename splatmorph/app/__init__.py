@@ -10,6 +10,7 @@ from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
 
+from renderer.errors import RenderError
 from splatmorph._version import __version__
 from splatmorph.app import console
 from splatmorph.errors import SplatmorphError
@@ -63,7 +64,7 @@ def run(tokens: Sequence[str] | None = None) -> int:
         app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         return USAGE
-    except SplatmorphError as error:
+    except (SplatmorphError, RenderError) as error:
         return _failed(str(error))
     except BrokenPipeError:
         # The reader of our output has gone (`| head`); Python would complain at exit.

@@ -9,7 +9,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from splatmorph.errors import OutputExistsError
@@ -62,21 +69,21 @@ def table(*columns: str, title: str | None = None) -> Table:
 
 
 @contextlib.contextmanager
-def progress(what: str, total: int | None = None) -> Iterator[Callable[[int, str], None]]:
-    """A bar on stderr; call what it yields with (steps done so far, a short note)."""
+def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
+    """A bar on stderr; call what it yields with (steps done, steps in all, a short note)."""
     columns = [
         TextColumn("{task.description}"),
         BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}" if total else "{task.completed:.0f}"),
+        MofNCompleteColumn(),
         TimeElapsedColumn(),
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     ]
     with Progress(*columns, console=err, transient=True, disable=manner.quiet) as bar:
-        task = bar.add_task(what, total=total, note="")
+        task = bar.add_task(what, total=None, note="")
 
-        def update(done: int, note: str = "") -> None:
-            bar.update(task, completed=done, note=note)
+        def update(done: int, total: int, note: str = "") -> None:
+            bar.update(task, completed=done, total=total, note=note)
 
         yield update
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Json
+from splatmorph.errors import SplatmorphError
+from splatmorph.inputs import Input, bounding_box, load_input
 
 
 def inspect(
@@ -18,4 +20,65 @@ def inspect(
     json: Json = False,
 ) -> None:
     """Say what a splat or an avatar is: counts, bounds, frame, landmarks, bad values."""
-    raise NotImplementedError
+    described, first_error = [], None
+    for file in files:
+        try:
+            described.append(describe(file))
+        except SplatmorphError as error:
+            first_error = first_error or error
+            described.append({"file": str(file), "error": str(error)})
+    if json:
+        console.emit_json({"files": described})
+    else:
+        for one in described:
+            _print(one)
+    if first_error is not None:
+        raise first_error
+
+
+def describe(file: Path) -> dict[str, Any]:
+    """What ``inspect`` says of one file, in JSON's types."""
+    loaded = load_input(file)
+    gaussians = loaded.gaussians
+    low, high = (corner.tolist() for corner in bounding_box(gaussians))
+    largest = gaussians.scales.amax(dim=1)
+    norms = gaussians.quats.norm(dim=1)
+    return {
+        "file": str(file),
+        "kind": "avatar" if loaded.options or file.is_dir() else "splat in world space",
+        "splats": len(gaussians),
+        "sh_degree": gaussians.sh_degree,
+        "bounds_98_percent": [low, high],
+        "median_largest_scale": float(largest.median()),
+        "median_opacity": float(gaussians.opacities.median()),
+        "invisible": int((gaussians.opacities < 1 / 255).sum()),
+        "unnormalised_quats": int(((norms - 1).abs() > 1e-3).sum()),
+        "extras": sorted(gaussians.extras),
+        "landmarks": _landmarks(loaded),
+    }
+
+
+def _landmarks(loaded: Input) -> dict[str, Any] | None:
+    if loaded.landmarks is None:
+        return None
+    names = loaded.landmarks.names
+    return {"count": len(loaded.landmarks), "named": names is not None}
+
+
+def _print(one: dict[str, Any]) -> None:
+    console.say(one["file"])
+    for key, value in one.items():
+        if key != "file":
+            console.say(f"  {key.replace('_', ' '):22}{_readable(key, value)}")
+
+
+def _readable(key: str, value: Any) -> str:
+    if key == "bounds_98_percent":
+        low, high = ("(" + ", ".join(f"{x:.4g}" for x in corner) + ")" for corner in value)
+        return f"{low} to {high}"
+    if key == "landmarks":
+        kind = "named" if value and value["named"] else "by order"
+        return f"{value['count']}, {kind}" if value else "none beside it"
+    if key == "extras":
+        return ", ".join(value) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

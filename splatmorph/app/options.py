@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
-import cyclopts
 from cyclopts import Parameter
 
 Input = Annotated[Path, Parameter(help="A splat (.ply) or an avatar's directory.")]
@@ -87,34 +86,20 @@ TimesOption = Annotated[
     Times | None,
     Parameter(name="--t", converter=_times, n_tokens=1, allow_leading_hyphen=True),
 ]
+RampOption = Annotated[
+    str | None, Parameter(name="--ramp", help="How opacities fade; linear is the paper's.")
+]
+CovarianceOption = Annotated[
+    str | None,
+    Parameter(name="--covariance", help="What the flow does to shapes; fixed is the paper's."),
+]
+EaseOption = Annotated[str | None, Parameter(name="--ease", help="How time runs.")]
 
 
 def choose_device(device: str) -> str:
-    """``auto`` resolved: a CUDA device if torch sees one, else ``cpu``.
-
-    Raises:
-        cyclopts.ValidationError: never; a wrong name is an OptionError of the library.
-    """
+    """``auto`` resolved: a CUDA device if torch sees one, else ``cpu``."""
     if device != "auto":
         return device
     import torch
 
     return "cuda:0" if torch.cuda.is_available() else "cpu"
-
-
-__all__ = [
-    "ColourOption",
-    "Device",
-    "Input",
-    "Json",
-    "Out",
-    "Overwrite",
-    "RunPath",
-    "Seed",
-    "Size",
-    "SizeOption",
-    "Times",
-    "TimesOption",
-    "choose_device",
-    "cyclopts",
-]

@@ -1,0 +1,29 @@
+"""``splatmorph demo``: the whole path on the sample pair, by the same commands a user types."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+from splatmorph.app import console
+from splatmorph.app.export import export
+from splatmorph.app.fit import fit
+from splatmorph.app.options import Out, Overwrite
+from splatmorph.app.render import render
+from splatmorph.io.atomic import make_folder
+from splatmorph.samples import write_sample_pair
+
+
+def demo(*, out: Out = None, overwrite: Overwrite = False) -> None:
+    """Make the sample pair, fit it, render a turntable of the morph, and export five PLY files."""
+    begun = time.perf_counter()
+    folder = out or Path("splatmorph-demo")
+    console.claim(folder, overwrite)
+    make_folder(folder)
+    source, target = write_sample_pair(folder)
+    run = folder / f"{source.stem}-{target.stem}.run"
+    fit(source, target, out=run, overwrite=overwrite)
+    console.say("")
+    render(run, out=folder / "morph.mp4", overwrite=overwrite)
+    export(run, out=folder / "frames", frames=5, overwrite=overwrite)
+    console.say(f"the demo took {time.perf_counter() - begun:.0f} s; look at {folder}/morph.mp4")

@@ -1,0 +1,126 @@
+"""A morph as a folder of splat files, one a time, that a killed process can go on with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splatmorph import io
+from splatmorph.errors import OutputExistsError, WriteError
+from splatmorph.gaussians import Gaussians
+from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
+from splatmorph.morph import Morph
+
+INDEX = "frames.json"
+PLAN = ".frames.unfinished.json"
+
+FAINTEST_DRAWN = 1 / 255
+"""Rasterizers skip what is fainter, so that dropping it changes no picture."""
+
+
+@dataclass(frozen=True)
+class Exported:
+    """What an export wrote."""
+
+    folder: Path
+    files: tuple[Path, ...]
+    pruned: int
+    """Splats left out over all frames, being too faint to be drawn."""
+    resumed: int
+    """Frames that an earlier, interrupted export had written already."""
+
+
+def export_sequence(
+    morph: Morph,
+    times: Sequence[float],
+    folder: str | Path,
+    *,
+    names: tuple[str, str] = ("source", "target"),
+    prune: bool = True,
+    overwrite: bool = False,
+    asked: dict[str, Any] | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> Exported:
+    """Write ``morph_0000.ply`` … for ``times``, and ``frames.json`` last.
+
+    Args:
+        morph: what to write.
+        times: t of each frame.
+        folder: where to; made if need be.
+        names: of source and target, for the headers.
+        prune: leave out splats too faint to be drawn (alpha below 1/255), strictly inside (0, 1).
+        overwrite: replace an earlier export in ``folder``.
+        asked: what tells this export from another one, to resume only what is the same.
+        on_frame: called with the number of frames done.
+
+    Raises:
+        OutputExistsError: an export is there and ``overwrite`` is off.
+        WriteError: a file can't be written; the frames before it are whole, and the same call
+            goes on from there.
+    """
+    folder = make_folder(folder)
+    remove_partials(folder)
+    plan = {"times": list(times), "names": list(names), "prune": prune, "asked": asked or {}}
+    digits = max(4, len(str(len(times) - 1)))
+    files = tuple(folder / f"morph_{i:0{digits}d}.ply" for i in range(len(times)))
+    done = _done_before(folder, plan, files, overwrite)
+    rows: list[dict[str, Any]] = []
+    left = [i for i in range(len(times)) if i not in done]
+    frames = morph.sequence([times[i] for i in left])
+    written = {}
+    for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
+        t = times[i]
+        kept = _drawn(frame) if prune and 0 < t < 1 else frame
+        comment = f"splatmorph t={t:.9g} source={names[0]} target={names[1]}"
+        io.write(files[i], kept, [comment])
+        written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept)}
+        _write_json(folder / PLAN, plan | {"done": done | written})
+        if on_frame is not None:
+            on_frame(len(done) + count + 1)
+    counts = done | written
+    rows = [{"file": f.name, "t": t} | counts[i] for i, (f, t) in enumerate(zip(files, times))]
+    _write_json(folder / INDEX, {"source": names[0], "target": names[1], "frames": rows})
+    (folder / PLAN).unlink(missing_ok=True)
+    return Exported(folder, files, sum(row["pruned"] for row in rows), len(done))
+
+
+def _done_before(
+    folder: Path, plan: dict[str, Any], files: Sequence[Path], overwrite: bool
+) -> dict[int, dict[str, int]]:
+    """Frames of the same export that are there already; makes room where that is allowed."""
+    unfinished = _read_json(folder / PLAN)
+    if unfinished is not None and {k: unfinished.get(k) for k in plan} == plan:
+        done = {int(i): row for i, row in unfinished.get("done", {}).items()}
+        return {i: row for i, row in done.items() if files[i].is_file()}
+    earlier = sorted(folder.glob("morph_*.ply"))
+    if earlier and not overwrite:
+        raise OutputExistsError(
+            f"{folder} holds frames already ({earlier[0].name} and more): give -w to replace "
+            "them, or -o to write elsewhere"
+        )
+    try:
+        for file in [*earlier, folder / INDEX, folder / PLAN]:
+            file.unlink(missing_ok=True)
+    except OSError as error:
+        raise WriteError(f"can't replace the frames in {folder}: {error.strerror}") from error
+    return {}
+
+
+def _drawn(gaussians: Gaussians) -> Gaussians:
+    return gaussians.select(gaussians.opacities >= FAINTEST_DRAWN)
+
+
+def _write_json(path: Path, value: dict[str, Any]) -> None:
+    with atomic_write(path) as partial:
+        partial.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def _read_json(path: Path) -> dict[str, Any] | None:
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return value if isinstance(value, dict) else None

@@ -1,0 +1,100 @@
+"""Inputs: what a user names on the command line, loaded with all that belongs to it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from splatmorph import io
+from splatmorph.avatars import is_avatar, load_avatar
+from splatmorph.errors import ReadError
+from splatmorph.gaussians import Gaussians
+from splatmorph.landmarks import Landmarks
+
+
+@dataclass(frozen=True)
+class Input:
+    """A splat with the landmarks that were found or given, and what it takes to load it again."""
+
+    path: Path
+    gaussians: Gaussians
+    landmarks: Landmarks | None
+    files: tuple[Path, ...]
+    """Every file that was read for it."""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    """How an avatar was posed; empty for a plain splat."""
+
+    @property
+    def name(self) -> str:
+        """A short name for files and titles."""
+        return self.path.name if self.path.is_dir() else self.path.stem
+
+    @property
+    def sha256(self) -> str:
+        """Fingerprint of the files read."""
+        return fingerprint(self.files)
+
+
+def load_splat(path: str | Path, **avatar_options: Any) -> Input:
+    """Load a splat file, or an avatar's directory posed as ``avatar_options`` say.
+
+    An avatar brings the landmarks of its FLAME mesh; a plain splat comes without.
+
+    Raises:
+        ReadError: the input can't be read.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise ReadError(f"{path} does not exist: check the spelling and the folder")
+    if not is_avatar(path):
+        return Input(path, io.read(path), None, (path,))
+    options = {name: value for name, value in avatar_options.items() if value is not None}
+    avatar = load_avatar(path, **options)
+    return Input(path, avatar.gaussians, avatar.landmarks, tuple(avatar.files), options)
+
+
+def load_input(
+    path: str | Path, *, landmarks: str | Path | None = None, **avatar_options: Any
+) -> Input:
+    """Load a splat as :func:`load_splat` does, and the landmarks that belong to it.
+
+    Args:
+        path: a file that ``splatmorph.io`` reads, or an avatar as ``splatmorph.avatars`` finds it.
+        landmarks: a landmark file; without one, what the avatar's FLAME mesh gives, or
+            ``<stem>.landmarks.*`` beside the input.
+
+    Raises:
+        ReadError: the input or its landmarks can't be read.
+        LandmarkError: the landmarks are no valid set, or lie far outside the splat.
+    """
+    loaded = load_splat(path, **avatar_options)
+    if landmarks is None and loaded.landmarks is None:
+        landmarks = Landmarks.beside(path)
+    if landmarks is None:
+        return loaded
+    found = Landmarks.read(landmarks)
+    found.check_near(*bounding_box(loaded.gaussians), f"the splat {path}")
+    return replace(loaded, landmarks=found)
+
+
+def bounding_box(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+    """Corners (3,) of the box that holds all but the outermost 1 % of centers on each side."""
+    means = gaussians.means.double()
+    means = means[:: max(1, len(means) // 100_000)]
+    low, high = torch.quantile(means, means.new_tensor([0.01, 0.99]), dim=0)
+    return low, high
+
+
+def fingerprint(files: tuple[Path, ...]) -> str:
+    """sha256 over the contents of ``files``, in their order."""
+    digest = hashlib.sha256()
+    for file in files:
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

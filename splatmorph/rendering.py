@@ -1,0 +1,112 @@
+"""From Gaussians to the renderer's arrays, and the camera moves that show a morph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from renderer import Bounds, Camera, bounds_of, orbit, rasterize
+from splatmorph.gaussians import Gaussians
+
+Colour = Sequence[float]
+
+SWING = 40.0
+"""Degrees to each side that a turntable of a morph swings: heads from one picture have no back."""
+
+
+def render(
+    gaussians: Gaussians,
+    camera: Camera,
+    *,
+    background: Colour | None = (1.0, 1.0, 1.0),
+    device: str = "cpu",
+) -> NDArray[np.uint8]:
+    """The picture of a splat.
+
+    Args:
+        gaussians: what to render.
+        camera: from where, and how large.
+        background: RGB in [0, 1]; None for a transparent one.
+        device: where the rasterizer runs.
+
+    Returns:
+        (height, width, 3) uint8; with a transparent background (height, width, 4), straight
+        (unassociated) alpha.
+    """
+    rgb, alpha, _ = rasterize(
+        *renderer_arrays(gaussians),
+        camera.viewmat,
+        camera.K,
+        camera.width,
+        camera.height,
+        background=background,
+        device=device,
+    )
+    if background is None:
+        rgb = np.where(alpha[..., None] > 0, rgb / np.maximum(alpha, 1e-8)[..., None], 0)
+        rgb = np.concatenate([rgb, alpha[..., None]], axis=-1)
+    return np.asarray(np.clip(rgb * 255 + 0.5, 0, 255).astype(np.uint8))
+
+
+def renderer_arrays(gaussians: Gaussians) -> tuple[NDArray[np.float32], ...]:
+    """means, quats, scales, opacities and sh as ``renderer.rasterize`` takes them."""
+    fields = (
+        gaussians.means,
+        gaussians.quats,
+        gaussians.scales,
+        gaussians.opacities,
+        gaussians.sh,
+    )
+    return tuple(field.detach().to("cpu", torch.float32).contiguous().numpy() for field in fields)
+
+
+def bounds(*splats: Gaussians) -> Bounds:
+    """The sphere round all of ``splats``, so that a camera stays put while one becomes another."""
+    return bounds_of(
+        np.concatenate([one.means.cpu().numpy() for one in splats]),
+        np.concatenate([one.opacities.cpu().numpy() for one in splats]),
+        np.concatenate([one.scales.cpu().numpy() for one in splats]),
+    )
+
+
+def turntable(
+    around: Bounds,
+    count: int,
+    *,
+    degrees: float = SWING,
+    azimuth: float = 0.0,
+    elevation: float = 0.0,
+    up: str = "y",
+    size: tuple[int, int] = (512, 512),
+) -> list[Camera]:
+    """``count`` cameras that loop: a full circle for ``degrees`` of 360 or more, else a swing.
+
+    Args:
+        around: the sphere to keep in view.
+        count: how many cameras.
+        degrees: how far the camera swings to each side of ``azimuth``.
+        azimuth: degrees from the front, where the move begins.
+        elevation: degrees above the object.
+        up: the world axis that points up.
+        size: width and height in pixels.
+    """
+    phase = [i / count for i in range(count)]
+    if abs(degrees) >= 360:
+        offsets = [degrees * p for p in phase]
+    else:
+        offsets = [degrees * math.sin(2 * math.pi * p) for p in phase]
+    width, height = size
+    azimuths = [azimuth + offset for offset in offsets]
+    return orbit(around, azimuths, elevation=elevation, up=up, width=width, height=height)
+
+
+def there_and_back(count: int, start: float = 0.0, end: float = 1.0) -> list[float]:
+    """``count`` times that go from ``start`` to ``end`` and back, lingering at both; they loop."""
+    swing = [(1 - math.cos(2 * math.pi * i / count)) / 2 for i in range(count)]
+    # At the half-way frame the cosine is exact only up to rounding, and t = end is bit-exact.
+    swing = [1.0 if 2 * i == count else s for i, s in enumerate(swing)]
+    return [start + (end - start) * s for s in swing]

@@ -1,0 +1,279 @@
+"""The run directory: what a fit leaves behind, and all that later commands need.
+
+morph.json         the inputs (path, sha256, how they were posed), landmarks, options, versions
+flow.safetensors   the flows' weights and frames
+history.csv        the fit, step by step
+report.json        what the fit achieved
+state.safetensors  only while a fit is unfinished: what --resume goes on from
+"""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import load_file, save_file
+from torch import Tensor
+
+from splatmorph._version import __version__
+from splatmorph.errors import OptionError, RunError
+from splatmorph.fit import FitReport, FitState
+from splatmorph.flows import Flow, flow_from_config
+from splatmorph.inputs import Input, fingerprint, load_splat
+from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
+from splatmorph.morph import Morph
+
+FORMAT = 1
+MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"
+STATE = "state.safetensors"
+
+
+@dataclass(frozen=True)
+class Source:
+    """An input as a run remembers it."""
+
+    path: Path
+    sha256: str
+    options: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """A short name for files and titles."""
+        return self.path.stem if self.path.suffix else self.path.name
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One fitted flow of a run, from one input's landmarks to another's."""
+
+    flow: Flow
+    source_points: Tensor
+    """(m, dim) float64, world units."""
+    target_points: Tensor
+    names: tuple[str, ...]
+    report: Mapping[str, Any]
+    """What ``FitReport.to_dict`` gave."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished fit of two splats or more."""
+
+    inputs: tuple[Source, ...]
+    legs: tuple[Leg, ...]
+    options: Mapping[str, Any]
+    """What the fit was asked for, seed included."""
+    folder: Path | None = None
+
+
+def remember(loaded: Input) -> Source:
+    """What a run keeps of an input."""
+    return Source(loaded.path.resolve(), loaded.sha256, dict(loaded.options))
+
+
+def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path:
+    """Write the run directory; ``morph.json`` comes last and makes it a run.
+
+    Raises:
+        WriteError: something can't be written.
+    """
+    folder = make_folder(folder)
+    remove_partials(folder)
+    tensors = {
+        f"{i}.{name}": tensor.contiguous()
+        for i, leg in enumerate(run.legs)
+        for name, tensor in leg.flow.state_dict().items()
+    }
+    with atomic_write(folder / WEIGHTS) as partial:
+        save_file(tensors, partial)
+    with atomic_write(folder / HISTORY) as partial, partial.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        rows = [(i, entry) for i, report in enumerate(reports) for entry in report.history]
+        if rows:
+            writer.writerow(["leg", *(f.name for f in dataclasses.fields(rows[0][1]))])
+        for i, entry in rows:
+            writer.writerow([i, *dataclasses.astuple(entry)])
+    _write_json(folder / REPORT, {"legs": [dict(leg.report) for leg in run.legs]})
+    manifest = {
+        "format": FORMAT,
+        "inputs": [
+            {
+                "path": os.path.relpath(source.path, folder.resolve()),
+                "sha256": source.sha256,
+                "options": dict(source.options),
+            }
+            for source in run.inputs
+        ],
+        "legs": [
+            {
+                "flow": leg.flow.config(),
+                "names": list(leg.names),
+                "source_points": leg.source_points.tolist(),
+                "target_points": leg.target_points.tolist(),
+            }
+            for leg in run.legs
+        ],
+        "weights_sha256": fingerprint((folder / WEIGHTS,)),
+        "options": dict(run.options),
+        "versions": {
+            "splatmorph": __version__,
+            "torch": torch.__version__,
+            "python": platform.python_version(),
+        },
+    }
+    _write_json(folder / MANIFEST, manifest)
+    (folder / STATE).unlink(missing_ok=True)
+    return folder
+
+
+def open_run(folder: str | Path) -> Run:
+    """Read a run directory, without its splats.
+
+    Raises:
+        RunError: it is no run, incomplete, corrupt, or of another version of the format.
+    """
+    folder = Path(folder)
+    manifest = _read_json(folder, MANIFEST)
+    if manifest.get("format") != FORMAT:
+        raise RunError(
+            f"{folder} has run format {manifest.get('format')!r}, this version reads {FORMAT}: "
+            "fit it again"
+        )
+    report = _read_json(folder, REPORT)
+    weights = folder / WEIGHTS
+    try:
+        if fingerprint((weights,)) != manifest["weights_sha256"]:
+            raise RunError(
+                f"{weights} is not what {MANIFEST} was written with (an interrupted overwrite, "
+                "or a foreign file): fit it again"
+            )
+        tensors = load_file(weights)
+        legs = tuple(
+            _leg(i, stored, tensors, leg_report)
+            for i, (stored, leg_report) in enumerate(
+                zip(manifest["legs"], report["legs"], strict=True)
+            )
+        )
+        inputs = tuple(
+            Source((folder.resolve() / one["path"]).resolve(), one["sha256"], one["options"])
+            for one in manifest["inputs"]
+        )
+        return Run(inputs, legs, manifest["options"], folder)
+    except OSError as error:
+        raise RunError(f"can't read {weights}: {error.strerror or error}") from error
+    except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise RunError(f"{folder} is damaged or not ours ({reason}): fit it again") from error
+
+
+def load_inputs(run: Run) -> tuple[Input, ...]:
+    """The splats of a run, as they were when it was fitted.
+
+    Raises:
+        RunError: an input has moved or changed.
+    """
+    return tuple(_load_again(source) for source in run.inputs)
+
+
+def load_run(folder: str | Path, **options: Any) -> Morph:
+    """The morph of a run directory; ``options`` are those of ``Morph`` (ramp, covariance, …).
+
+    Raises:
+        RunError: the directory is no run, or its inputs have moved or changed.
+        OptionError: the run is a chain of more than two splats.
+    """
+    run = open_run(folder)
+    if len(run.inputs) != 2:
+        raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
+    source, target = load_inputs(run)
+    return Morph(source.gaussians, target.gaussians, run.legs[0].flow, **options)
+
+
+def save_state(folder: Path, state: FitState, asked: str) -> None:
+    """Keep an unfinished fit; ``asked`` says what for, so that --resume can tell."""
+    with atomic_write(make_folder(folder) / STATE) as partial:
+        tensors = {name: tensor.contiguous() for name, tensor in state.tensors.items()}
+        save_file(tensors, partial, metadata={**state.meta, "asked": asked})
+
+
+def load_state(folder: Path, asked: str) -> FitState | None:
+    """The unfinished fit in ``folder``; None where there is none.
+
+    Raises:
+        RunError: it is damaged, or was of other inputs or options.
+    """
+    path = folder / STATE
+    if not path.is_file():
+        return None
+    try:
+        with safe_open(path, framework="pt") as stored:
+            meta = dict(stored.metadata() or {})
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+    except (OSError, SafetensorError) as error:
+        raise RunError(f"{path} can't be resumed from ({error}): fit again with -w") from error
+    if meta.pop("asked", None) != asked:
+        raise RunError(
+            f"{path} was left by a fit of other inputs or options: give the same ones to --resume, "
+            "or fit anew with -w"
+        )
+    return FitState(tensors, meta)
+
+
+def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg:
+    flow = flow_from_config(stored["flow"])
+    prefix = f"{i}."
+    own = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+    flow.load_state_dict(own)
+    return Leg(
+        flow,
+        torch.tensor(stored["source_points"], dtype=torch.float64),
+        torch.tensor(stored["target_points"], dtype=torch.float64),
+        tuple(stored["names"]),
+        report,
+    )
+
+
+def _load_again(source: Source) -> Input:
+    if not source.path.exists():
+        raise RunError(
+            f"the run's input {source.path} is not there any more: put it back, or fit again"
+        )
+    loaded = load_splat(source.path, **source.options)
+    if loaded.sha256 != source.sha256:
+        raise RunError(
+            f"the run's input {source.path} has changed since the fit: put the old file back, or "
+            "fit again"
+        )
+    return loaded
+
+
+def _write_json(path: Path, value: Mapping[str, Any]) -> None:
+    with atomic_write(path) as partial:
+        partial.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
+
+
+def _read_json(folder: Path, name: str) -> dict[str, Any]:
+    if not folder.is_dir():
+        what = "is a file" if folder.exists() else "does not exist"
+        raise RunError(f"{folder} {what}, expected a run directory of  splatmorph fit")
+    path = folder / name
+    if not path.is_file():
+        unfinished = (folder / STATE).is_file()
+        hint = "finish it with  splatmorph fit … --resume" if unfinished else "fit again"
+        raise RunError(f"{folder} is no complete run (no {name}): {hint}")
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise RunError(f"{path} is damaged ({error}): fit again") from error
+    if not isinstance(value, dict):
+        raise RunError(f"{path} holds no JSON object: fit again")
+    return value
