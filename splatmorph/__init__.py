@@ -43,7 +43,7 @@ _HOMES = {
     "write": "io",
 }
 
-__all__ = ["SplatmorphError", "__version__", *_HOMES]  # noqa: PLE0604
+__all__ = ["SplatmorphError", "__version__", *_HOMES]
 
 
 def __getattr__(name: str) -> Any:

@@ -81,7 +81,10 @@ def export_sequence(
         if on_frame is not None:
             on_frame(len(done) + count + 1)
     counts = done | written
-    rows = [{"file": f.name, "t": t} | counts[i] for i, (f, t) in enumerate(zip(files, times))]
+    rows = [
+        {"file": f.name, "t": t} | counts[i]
+        for i, (f, t) in enumerate(zip(files, times, strict=True))
+    ]
     _write_json(folder / INDEX, {"source": names[0], "target": names[1], "frames": rows})
     (folder / PLAN).unlink(missing_ok=True)
     return Exported(folder, files, sum(row["pruned"] for row in rows), len(done))

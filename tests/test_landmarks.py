@@ -126,7 +126,7 @@ def test_a_name_must_mean_one_point(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("bad", [float("nan"), float("inf")])
 def test_points_must_be_finite(bad: float) -> None:
-    with pytest.raises(LandmarkError, match="chin.*NaN or infinite"):
+    with pytest.raises(LandmarkError, match=r"chin.*NaN or infinite"):
         named([POINTS[0], [0, bad, 0], *POINTS[2:]])
 
 

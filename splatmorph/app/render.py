@@ -28,9 +28,11 @@ from splatmorph.app.options import (
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import load_splat
-from splatmorph.rendering import SWING, bounds, render as render_frame, there_and_back, turntable
+from splatmorph.rendering import SWING, bounds, there_and_back, turntable
+from splatmorph.rendering import render as render_frame
 from splatmorph.run import MANIFEST, load_run
 
+DEFAULT_SIZE = Size(512, 512)
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
 
 
@@ -50,7 +52,7 @@ def render(
     t: TimesOption = None,
     frames: Annotated[int, Parameter(help="How many frames.")] = 120,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
-    size: SizeOption = Size(512, 512),
+    size: SizeOption = DEFAULT_SIZE,
     orbit: Annotated[
         float | None,
         Parameter(help="Degrees the camera swings to each side; 360 for full circles."),

@@ -29,7 +29,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}{PARTIAL}{os.getpid()}{path.suffix}")
     try:
         yield partial
-        os.replace(partial, path)
+        partial.replace(path)
     except OSError as error:
         raise WriteError(f"can't write {path}: {_reason(error)}") from error
     finally:
