@@ -1,0 +1,192 @@
+"""Picture: pixels as a file holds them, read whole and upright."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image, ImageOps, UnidentifiedImageError
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from splatmorph.errors import MissingExtraError, ReadError
+from splatmorph.images.canvas import Canvas
+
+Pixels = np.ndarray[Any, np.dtype[Any]]
+DEPTHS: dict[np.dtype[Any], float] = {
+    np.dtype(np.uint8): 255.0,
+    np.dtype(np.uint16): 65535.0,
+    np.dtype(np.float32): 1.0,
+}
+"""The value that means white, for each type a pixel may have."""
+
+BITS_PER_SAMPLE = 258
+"""The TIFF tag."""
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A grey, RGB or RGBA picture; alpha is straight, not premultiplied.
+
+    Raises ``ValueError`` where shape or type are others: a programming error.
+    """
+
+    pixels: Pixels
+    """(height, width, 1 | 3 | 4) uint8, uint16, or float32 in [0, 1]."""
+
+    def __post_init__(self) -> None:
+        shape, kind = self.pixels.shape, self.pixels.dtype
+        if len(shape) != 3 or shape[2] not in (1, 3, 4) or min(shape) < 1 or kind not in DEPTHS:
+            raise ValueError(f"pixels are {kind} {shape}, expected (h, w, 1 | 3 | 4), 8 or 16 bit")
+
+    @property
+    def canvas(self) -> Canvas:
+        """The rectangle of the plane that this picture covers."""
+        return Canvas(self.pixels.shape[1], self.pixels.shape[0])
+
+    @property
+    def channels(self) -> int:
+        """1 grey, 3 RGB, 4 RGBA."""
+        return int(self.pixels.shape[2])
+
+    def with_channels(self, channels: int) -> Picture:
+        """The same picture with more channels: grey → RGB → RGBA; 3 drops the alpha."""
+        pixels = self.pixels
+        if self.channels == 1 and channels > 1:
+            pixels = np.repeat(pixels, 3, axis=2)
+        if channels == 4 and self.channels < 4:
+            opaque = np.full_like(pixels[..., :1], DEPTHS[pixels.dtype])
+            pixels = np.concatenate([pixels, opaque], axis=2)
+        return Picture(pixels[..., :channels])
+
+    def planes(self, canvas: Canvas | None = None) -> Tensor:
+        """(channels, h, w) float32 in [0, 1], colours premultiplied by alpha.
+
+        Where ``canvas`` has fewer pixels than the picture, it is reduced to that resolution
+        with a filter wide enough that sampling it does not alias.
+        """
+        raw = torch.from_numpy(np.ascontiguousarray(self.pixels))
+        planes = raw.permute(2, 0, 1).to(torch.float32).contiguous()
+        planes /= DEPTHS[self.pixels.dtype]
+        if self.channels == 4:
+            planes[:3] *= planes[3]
+        own = self.canvas
+        if canvas is None or canvas.pixel <= own.pixel:
+            return planes
+        size = [max(1, round(side * own.pixel / canvas.pixel)) for side in (own.height, own.width)]
+        return interpolate(planes[None], size, mode="bicubic", antialias=True)[0].clamp_(0, 1)
+
+    @staticmethod
+    def from_planes(planes: Tensor) -> Picture:
+        """The float picture of premultiplied planes (channels, h, w)."""
+        if len(planes) == 4:
+            alpha = planes[3:]
+            planes = torch.cat([planes[:3] / alpha.clamp_min(1e-6), alpha])
+        return Picture(planes.clamp(0, 1).permute(1, 2, 0).contiguous().numpy())
+
+    def eight_bit(self) -> Pixels:
+        """(h, w, channels) uint8."""
+        if self.pixels.dtype == np.uint8:
+            return self.pixels
+        values = torch.from_numpy(self.pixels.astype(np.float32, copy=False))
+        values = values * (255 / DEPTHS[self.pixels.dtype])
+        return values.add_(0.5).clamp_(0, 255).to(torch.uint8).numpy()
+
+    def rgb(self) -> Pixels:
+        """(h, w, 3) uint8 as a video takes it; what is transparent shows black."""
+        pixels = self.eight_bit()
+        if self.channels == 4:
+            weight = pixels[..., 3:].astype(np.uint16)
+            return ((pixels[..., :3] * weight + 127) // 255).astype(np.uint8)
+        return np.repeat(pixels, 3, axis=2) if self.channels == 1 else pixels
+
+    @staticmethod
+    def read(path: str | Path) -> Picture:
+        """Read a picture: any still format of Pillow, 8 or 16 bit, turned upright by its EXIF.
+
+        Colours of 16 bits a channel are read by OpenCV, since Pillow would cut them to 8.
+
+        Raises:
+            ReadError: the file is missing, no picture, damaged, animated, or too large.
+            MissingExtraError: 16-bit colours without OpenCV.
+        """
+        path = Path(path)
+        try:
+            with warnings.catch_warnings():
+                # Pillow warns of large pictures before it refuses larger ones.
+                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+                with Image.open(path) as image:
+                    return Picture(_decode(image, path))
+        except UnidentifiedImageError as error:
+            raise ReadError(f"{path} is no picture that we can read: give PNG, JPEG…") from error
+        except Image.DecompressionBombError as error:
+            raise ReadError(f"{path} is too large a picture ({error}): reduce it first") from error
+        except OSError as error:
+            raise ReadError(f"can't read {path}: {error.strerror or error}") from error
+        except (ValueError, SyntaxError) as error:
+            raise ReadError(f"{path} is a damaged picture: {error}") from error
+
+
+def _decode(image: Image.Image, path: Path) -> Pixels:
+    frames = getattr(image, "n_frames", 1)
+    if frames > 1:
+        raise ReadError(f"{path} is animated ({frames} frames), expected one picture: extract one")
+    if _bits(image) == 16 and image.mode not in ("I;16", "I;16B", "I;16L", "I"):
+        return _turned(_read_deep_colour(path), image)
+    if image.mode.startswith("I"):
+        # 16-bit grey; what Pillow opens as 32-bit integers is 16-bit grey as well.
+        grey = np.asarray(image).astype(np.int64)
+        if grey.min() < 0 or grey.max() > 65535:
+            raise ReadError(f"{path} holds values beyond 16 bits: convert it to 16-bit grey")
+        return _turned(grey.astype(np.uint16)[..., None], image)
+    if image.mode == "F":
+        raise ReadError(f"{path} holds floating-point values: convert it to 8 or 16 bits")
+    mode = "L" if image.mode in ("1", "L") else "RGB"
+    if image.has_transparency_data:
+        mode = "RGBA"
+    pixels = np.asarray(ImageOps.exif_transpose(image).convert(mode))
+    return pixels[..., None] if mode == "L" else pixels
+
+
+def _bits(image: Image.Image) -> int:
+    if image.format == "TIFF":
+        return int(max(image.tag_v2.get(BITS_PER_SAMPLE, (8,))))  # type: ignore[attr-defined]
+    if image.format == "PNG":
+        with Path(image.filename).open("rb") as file:  # type: ignore[attr-defined]
+            return file.read(25)[24]  # the bit depth of the first chunk, IHDR
+    return 8
+
+
+def _read_deep_colour(path: Path) -> Pixels:
+    try:
+        import cv2
+    except ImportError as error:
+        raise MissingExtraError("opencv-python-headless", "images", "16-bit colour") from error
+    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 3:
+        raise ReadError(f"{path} is a 16-bit picture of a kind we can't read: convert it to PNG")
+    order = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's channels run blue, green, red
+    return np.ascontiguousarray(pixels[..., order])
+
+
+ORIENTATIONS: dict[int, Callable[[Pixels], Pixels]] = {
+    2: lambda p: p[:, ::-1],
+    3: lambda p: p[::-1, ::-1],
+    4: lambda p: p[::-1],
+    5: lambda p: p.swapaxes(0, 1),
+    6: lambda p: p[::-1].swapaxes(0, 1),
+    7: lambda p: p[::-1, ::-1].swapaxes(0, 1),
+    8: lambda p: p[:, ::-1].swapaxes(0, 1),
+}
+"""EXIF orientation -> what turns the pixels upright."""
+
+
+def _turned(pixels: Pixels, image: Image.Image) -> Pixels:
+    # ImageOps turns 8-bit pictures; these come as arrays, beside it.
+    turn = ORIENTATIONS.get(image.getexif().get(0x0112, 1))
+    return np.ascontiguousarray(turn(pixels)) if turn else pixels

@@ -1,0 +1,256 @@
+"""Landmarks of pictures: which coordinates a file speaks, and anchors on the frame."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import torch
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from torch import Tensor
+
+from splatmorph.errors import LandmarkError, OptionError, ReadError
+from splatmorph.images.canvas import Canvas
+from splatmorph.landmarks import Landmarks
+
+CONVENTIONS = {
+    "pixels-xy": "x to the right, y down; whole numbers are pixel centers, the first is (0, 0)",
+    "pixels-rc": "row, column; whole numbers are pixel centers, the first is (0, 0)",
+    "unit-xy": "x to the right, y down; each from -1 to 1 between the outer edges",
+    "unit-rc": "row, column; each from -1 to 1 between the outer edges",
+}
+"""How a file may count coordinates. It is said by the file or by the caller, never guessed."""
+
+OUTSIDE = 0.1
+"""How far beyond the picture a landmark may lie, in longer sides: a chin that is cut off."""
+
+SAME = 0.002
+"""Pairs closer than this in both pictures, in longer sides, are one: nobody clicks finer."""
+
+
+def read_points(path: str | Path, canvas: Canvas, convention: str | None = None) -> Landmarks:
+    """Read the landmarks of the picture on ``canvas``.
+
+    ``.tem`` (WebMorph) and ``.pts`` (iBUG, counted from 1) are pixels by definition. Every
+    format of ``Landmarks.read`` is taken too, if it says its convention, by a line
+    ``# convention: pixels-xy`` in text or a key ``"convention"`` in JSON and ``.npz``, or if
+    ``convention`` is given. What the file says must agree with what is given.
+
+    Returns:
+        points in the plane, world units.
+
+    Raises:
+        ReadError: the file can't be read as landmarks.
+        LandmarkError: no convention, or points beyond the picture.
+        OptionError: an unknown convention.
+    """
+    path = Path(path)
+    fixed = _FIXED.get(path.suffix.lower())
+    if fixed is not None:
+        said, found = "pixels-xy", Landmarks(torch.from_numpy(fixed(path)))
+    else:
+        said, found = _said(path), Landmarks.read(path, dim=2)
+    points = _from_convention(found.points, canvas, _agreed(path, said, convention))
+    return checked(Landmarks(points, found.names), canvas, str(path))
+
+
+def read_pair(
+    path: str | Path, source: Canvas, target: Canvas
+) -> tuple[Landmarks, Landmarks] | None:
+    """Both sides from one file ``{"points_0": …, "points_1": …}``, None if it isn't one.
+
+    This is the paper's own format: rows (row, column) from -1 to 1.
+
+    Raises:
+        ReadError, LandmarkError: as ``read_points``.
+    """
+    path = Path(path)
+    if path.suffix.lower() != ".json":
+        return None
+    stored = _json(path)
+    if not isinstance(stored, dict) or not {"points_0", "points_1"} <= stored.keys():
+        return None
+    sides = []
+    for key, canvas in (("points_0", source), ("points_1", target)):
+        try:
+            rows = torch.tensor(stored[key], dtype=torch.float64).reshape(-1, 2)
+        except (ValueError, TypeError, RuntimeError) as error:
+            raise ReadError(f"{path}: {key} holds no rows of two numbers") from error
+        points = _from_convention(rows, canvas, "unit-rc")
+        sides.append(checked(Landmarks(points), canvas, f"{path}, {key}"))
+    return sides[0], sides[1]
+
+
+def beside(picture: str | Path) -> Path | None:
+    """The landmarks that belong to a picture: ``<stem>.landmarks.*``, ``.tem`` or ``.pts``."""
+    picture = Path(picture)
+    candidates = (picture.with_suffix(extension) for extension in _FIXED)
+    return Landmarks.beside(picture) or next((c for c in candidates if c.is_file()), None)
+
+
+def with_anchors(
+    source: Landmarks, target: Landmarks, canvases: tuple[Canvas, Canvas], per_side: int
+) -> tuple[Landmarks, Landmarks]:
+    """The matched pairs and anchors: points of the border that stay where they are.
+
+    ``per_side`` steps a side: 1 anchors the four corners, 0 nothing. Between frames of
+    different aspect the corners go to corners, so the picture is stretched.
+    """
+    p, q, names = merged(source, target)[0].match(merged(source, target)[1])
+    if per_side == 0:
+        return Landmarks(p, names), Landmarks(q, names)
+    anchors = [canvas.border(per_side) for canvas in canvases]
+    names += tuple(f"anchor_{i}" for i in range(len(anchors[0])))
+    return (
+        Landmarks(torch.cat([p, anchors[0]]), names),
+        Landmarks(torch.cat([q, anchors[1]]), names),
+    )
+
+
+def merged(source: Landmarks, target: Landmarks) -> tuple[Landmarks, Landmarks]:
+    """The pairs of both sets, those that lie within ``SAME`` in both pictures made one, their mean.
+
+    Annotations are rounded to pixels, and the lips of a closed mouth are one line: there two
+    points of one picture fall together whose partners lie a pixel or two apart. No flow can part
+    them. Pairs that lie apart in one picture only are left to ``Landmarks.match`` to refuse.
+    """
+    p, q, names = _paired(source, target)
+    near = [torch.cdist(points, points) < 2 * SAME for points in (p, q)]
+    _, group = connected_components(csr_array((near[0] & near[1]).numpy()), directed=False)
+    groups = torch.from_numpy(group).long()
+    count = torch.bincount(groups).to(p)[:, None]
+    means = [
+        torch.zeros_like(count * side[:1]).index_add(0, groups, side) / count for side in (p, q)
+    ]
+    kept = [
+        "+".join(names[i] for i in (groups == g).nonzero().flatten()) for g in range(len(count))
+    ]
+    return Landmarks(means[0], tuple(kept)), Landmarks(means[1], tuple(kept))
+
+
+def _paired(source: Landmarks, target: Landmarks) -> tuple[Tensor, Tensor, Sequence[str]]:
+    if source.names is None or target.names is None:
+        if len(source) != len(target):
+            source.match(target)  # says what is wrong with the counts
+        return source.points, target.points, [str(i) for i in range(len(source))]
+    common = [name for name in source.names if name in set(target.names)]
+    if not common:
+        source.match(target)
+    sides = [side.points[[side.names.index(name) for name in common]] for side in (source, target)]
+    return sides[0], sides[1], common
+
+
+def checked(landmarks: Landmarks, canvas: Canvas, origin: str) -> Landmarks:
+    """The landmarks, if they lie on the picture or close to it.
+
+    Raises:
+        LandmarkError: names the first that lie further out.
+    """
+    half = torch.tensor(canvas.half, dtype=torch.float64)
+    far = ((landmarks.points.abs() - half) > 2 * OUTSIDE).any(dim=1).nonzero().flatten().tolist()
+    if not far:
+        return landmarks
+    first = far[0]
+    x, y = canvas.to_pixels(landmarks.points[first]).tolist()
+    raise LandmarkError(
+        f"{origin}: {len(far)} of {len(landmarks)} landmarks lie outside the picture, e.g. "
+        f"{landmarks.names[first] if landmarks.names else f'number {first}'} at pixel "
+        f"({x:.0f}, {y:.0f}) of {canvas.width}x{canvas.height}: check the convention "
+        f"({', '.join(CONVENTIONS)}) and that the file belongs to this picture"
+    )
+
+
+def _from_convention(points: Tensor, canvas: Canvas, convention: str) -> Tensor:
+    unit, order = convention.split("-")
+    if order == "rc":
+        points = points.flip(1)
+    if unit == "pixels":
+        return canvas.to_world(points + 0.5)
+    size = torch.tensor([canvas.width, canvas.height], dtype=points.dtype)
+    return canvas.to_world((points + 1) / 2 * size)
+
+
+def _agreed(path: Path, said: str | None, given: str | None) -> str:
+    for convention in (said, given):
+        if convention is not None and convention not in CONVENTIONS:
+            raise OptionError(
+                f"landmark convention '{convention}' is unknown: choose one of "
+                f"{', '.join(CONVENTIONS)}"
+            )
+    if said and given and said != given:
+        raise LandmarkError(f"{path} says its convention is {said}, but {given} was given")
+    if not said and not given:
+        raise LandmarkError(
+            f"{path} does not say what its coordinates mean: give the convention, one of "
+            f"{', '.join(CONVENTIONS)}"
+        )
+    return said or given or ""
+
+
+def _said(path: Path) -> str | None:
+    suffix = path.suffix.lower()
+    if suffix == ".json":
+        stored = _json(path)
+        value = stored.get("convention") if isinstance(stored, dict) else None
+        return None if value is None else str(value)
+    if suffix in (".csv", ".txt"):
+        found = re.search(r"^#\s*convention:\s*(\S+)", _text(path), re.MULTILINE)
+        return found[1] if found else None
+    if suffix == ".npz" and path.is_file():
+        try:
+            with np.load(path, allow_pickle=False) as stored:
+                return str(stored["convention"]) if "convention" in stored else None
+        except (ValueError, OSError) as error:
+            raise ReadError(f"{path} is no .npz that we can read: {error}") from error
+    return None
+
+
+def _read_tem(path: Path) -> np.ndarray:
+    rows = _text(path).split("\n")
+    count = rows[0].strip()
+    if not count.isdecimal():
+        raise ReadError(f"{path} is no template: expected the number of points, found {count!r}")
+    return _numbers(path, rows[1 : int(count) + 1], int(count))
+
+
+def _read_pts(path: Path) -> np.ndarray:
+    found = re.search(r"n_points:\s*(\d+).*?\{(.*?)\}", _text(path), re.DOTALL)
+    if not found:
+        raise ReadError(f"{path} is no .pts file: expected 'n_points: N' and points in braces")
+    rows = [row for row in found[2].split("\n") if row.strip()]
+    # The annotations of 300-W were made in MATLAB, where the first pixel is (1, 1).
+    return _numbers(path, rows, int(found[1])) - 1
+
+
+_FIXED = {".tem": _read_tem, ".pts": _read_pts}
+
+
+def _numbers(path: Path, rows: Sequence[str], count: int) -> np.ndarray:
+    try:
+        values = np.array([[float(cell) for cell in row.split()] for row in rows])
+    except ValueError as error:
+        raise ReadError(f"{path} holds a line that is no point: {error}") from error
+    if values.shape != (count, 2):
+        shape = "x".join(map(str, values.shape))
+        raise ReadError(f"{path} announces {count} points of two coordinates but holds {shape}")
+    return values
+
+
+def _text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except OSError as error:
+        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
+    except UnicodeDecodeError as error:
+        raise ReadError(f"{path} is no text file, expected landmarks") from error
+
+
+def _json(path: Path) -> object:
+    try:
+        return json.loads(_text(path))
+    except ValueError as error:
+        raise ReadError(f"{path} is no JSON: {error}") from error
