@@ -1,6 +1,6 @@
 """Rigged heads (GaussianAvatars on FLAME): local splats in, world space and landmarks out."""
 
-from splatmorph.avatars.avatar import Avatar, load_avatar, track_of
+from splatmorph.avatars.avatar import Avatar, baked, load_avatar, track_of
 from splatmorph.avatars.drive import Drive
 from splatmorph.avatars.landmark_sets import LANDMARK_SETS, thin
 from splatmorph.avatars.places import is_avatar
@@ -14,6 +14,7 @@ __all__ = [
     "AvatarSummary",
     "Drive",
     "Track",
+    "baked",
     "is_avatar",
     "load_avatar",
     "pose_warnings",

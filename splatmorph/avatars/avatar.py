@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -91,6 +91,16 @@ def load_avatar(
     return Avatar(rig, gaussians, vertices, landmarks, chosen, posed, (near, *files), options)
 
 
+def baked(rig: Rig, track: Track) -> Iterator[Gaussians]:
+    """The avatar in every frame of ``track``, its own or another's, one after the other.
+
+    Raises:
+        OptionError: the avatar is only a mesh, which can't be posed.
+    """
+    for frame in range(len(track)):
+        yield rig.bake(rig.posed(_pose_of(rig, track, frame)))
+
+
 def track_of(path: str | Path) -> Track:
     """The track of an avatar, or of a ``.npz`` itself.
 
@@ -121,6 +131,11 @@ def _choose_pose(
     if pose is None:
         return rig.track.pose(number), f"frame {number} of its track", (rig.track.path,)
     other = track_of(pose)
-    # The offsets are of the other's vertices; only the pose is shared.
-    taken = replace(other.pose(number), offset=None)
-    return taken, f"frame {number} of {other.path}", (rig.track.path, other.path)
+    posed = f"frame {number} of {other.path}"
+    return _pose_of(rig, other, number), posed, (rig.track.path, other.path)
+
+
+def _pose_of(rig: Rig, track: Track, frame: int) -> Pose:
+    pose = track.pose(frame)
+    # The offsets of another person's vertices would make this one another person.
+    return pose if track is rig.track else replace(pose, offset=None)

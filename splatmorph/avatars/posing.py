@@ -20,8 +20,15 @@ LIPS_APART = 0.004
 """Metres by which the heights of two mouths may differ where only meshes are known."""
 
 
-def pose_warnings(source: Avatar, target: Avatar) -> tuple[str, ...]:
-    """What will look wrong in a morph of these two, one line each; empty if nothing will."""
+def pose_warnings(source: Avatar | None, target: Avatar | None) -> tuple[str, ...]:
+    """What will look wrong in a morph of these two, one line each; empty if nothing will.
+
+    Arguments:
+        source, target: None stands for a plain splat, whose pose nobody knows.
+    """
+    if source is None or target is None:
+        posed = source or target
+        return () if posed is None else (_half_known(posed),)
     warnings = []
     apart = _apart(source, target)
     if apart:
@@ -39,6 +46,14 @@ def pose_warnings(source: Avatar, target: Avatar) -> tuple[str, ...]:
             "that follow the two heads"
         )
     return tuple(warnings)
+
+
+def _half_known(posed: Avatar) -> str:
+    return (
+        f"{posed.name} is a rigged avatar, posed {posed.posed}, and the other a plain splat in a "
+        "pose of its own: a flow can't open a mouth, so check that both look alike, and pose "
+        f"{posed.name} by --frame if they don't"
+    )
 
 
 def _apart(source: Avatar, target: Avatar) -> list[str]:

@@ -1,0 +1,105 @@
+"""``splatmorph bake``: a rigged avatar as plain splats, one frame or a whole track."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from splatmorph import io
+from splatmorph.app import console
+from splatmorph.app.options import Out, Overwrite
+from splatmorph.avatars import LANDMARK_SETS, Avatar, Track, baked, load_avatar, thin, track_of
+from splatmorph.errors import OptionError
+from splatmorph.io.atomic import atomic_write, make_folder
+
+AvatarInput = Annotated[
+    Path, Parameter(help="Its splat file, the directory of that, or the model directory.")
+]
+Frame = Annotated[
+    int | None,
+    Parameter(help="Pose as in this frame of the track; the canonical pose if not given."),
+]
+PoseFrom = Annotated[
+    Path | None,
+    Parameter(help="Take the pose from this avatar's track, or from a flame_param.npz."),
+]
+LandmarkSet = Annotated[str, Parameter(help=f"One of {', '.join(LANDMARK_SETS)}.")]
+LandmarkCount = Annotated[
+    int | None, Parameter(help="Keep at most this many landmarks, spread evenly.")
+]
+FlameOption = Annotated[
+    Path | None,
+    Parameter(name="--flame", help="The FLAME model or its folder; else $SPLATMORPH_FLAME."),
+]
+MeshOption = Annotated[
+    Path | None,
+    Parameter(name="--mesh", help="The head's FLAME mesh, in place of flame_param.npz."),
+]
+
+INDEX = "frames.json"
+
+
+def bake(
+    avatar: AvatarInput,
+    /,
+    *,
+    out: Out = None,
+    frame: Frame = None,
+    pose_from: PoseFrom = None,
+    track: Annotated[
+        bool, Parameter(negative="", help="Write every frame of the track, into a folder.")
+    ] = False,
+    landmarks_set: LandmarkSet = "254",
+    landmarks_count: LandmarkCount = None,
+    flame: FlameOption = None,
+    mesh: MeshOption = None,
+    overwrite: Overwrite = False,
+) -> None:
+    """Write a rigged avatar (GaussianAvatars) as a plain splat in world space.
+
+    Its landmarks are written beside it, where ``splatmorph fit`` finds them. With --track a
+    folder of numbered files is written, which SuperSplat and Brush play as a sequence.
+    """
+    if track and frame is not None:
+        raise OptionError("--frame writes one frame and --track all of them: give one of the two")
+    pose = None if track else pose_from
+    loaded = load_avatar(
+        avatar, frame=frame, pose=pose, landmarks_set=landmarks_set, flame=flame, mesh=mesh
+    )
+    if track:
+        moved = loaded.rig.track if pose_from is None else track_of(pose_from)
+        if moved is None:
+            raise OptionError(f"{loaded.name} has no track: give one by --pose-from")
+        _write_track(loaded, moved, out or Path(f"{loaded.name}-frames"), overwrite)
+        return
+    file = console.claim(out or Path(f"{loaded.name}.ply"), overwrite)
+    beside = console.claim(file.with_name(f"{file.stem}.landmarks.json"), overwrite)
+    landmarks = loaded.landmarks
+    if landmarks_count is not None:
+        landmarks, _ = thin(landmarks, landmarks, landmarks_count)
+    io.write(file, loaded.gaussians, [f"splatmorph bake {loaded.name} {loaded.posed}"])
+    landmarks.write(beside)
+    console.say(
+        f"wrote {file}: {len(loaded.gaussians):,} splats, posed {loaded.posed}\n"
+        f"wrote {beside}: {len(landmarks)} landmarks"
+    )
+
+
+def _write_track(avatar: Avatar, track: Track, folder: Path, overwrite: bool) -> None:
+    console.claim(folder / INDEX, overwrite)
+    make_folder(folder)
+    rows = []
+    with console.progress("baking") as update:
+        for frame, gaussians in enumerate(baked(avatar.rig, track)):
+            file = folder / f"frame_{frame:04d}.ply"
+            io.write(file, gaussians, [f"splatmorph bake {avatar.name} frame={frame}"])
+            rows.append({"file": file.name, "frame": frame, "splats": len(gaussians)})
+            update(frame + 1, len(track), "")
+    # Last, so that a folder with an index is whole.
+    with atomic_write(folder / INDEX) as partial:
+        index = {"source": avatar.name, "track": str(track.path), "frames": rows}
+        partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+    console.say(f"wrote {len(rows)} files, frame_0000.ply …, to {folder}")
