@@ -11,9 +11,12 @@ import torch
 from torch import Tensor
 
 from splatmorph.flows.base import Flow, as_column
+from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
-DEFAULT_STEPS = 8
+Field = SplineField | SirenField
+
+DEFAULT_STEPS = 16
 """Runge-Kutta steps a unit of t, where ``fit`` has not chosen better."""
 
 
@@ -27,14 +30,19 @@ class Node(Flow):
 
     kind = "node"
 
-    def __init__(self, dim: int, field: SplineField, steps: int = DEFAULT_STEPS) -> None:
+    def __init__(self, dim: int, field: Field, steps: int = DEFAULT_STEPS) -> None:
         super().__init__(dim)
         self.field = field
         self.steps = steps
 
     def config(self) -> dict[str, Any]:
         """Kind, dimension, steps and the field with its options."""
-        return {**super().config(), "steps": self.steps, "field": "spline", **self.field.options()}
+        return {
+            **super().config(),
+            "steps": self.steps,
+            "field": self.field.name,
+            **self.field.options(),
+        }
 
     def unit_velocity(self, u: Tensor) -> Tensor:
         """v(u) in the frame."""

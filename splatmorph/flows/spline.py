@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -16,16 +16,18 @@ class SplineField(nn.Module):
 
     Among all fields with the same values at the centers it has the least second-order
     (thin-plate) energy: k(r) = -r in space, r² log r in the plane. The cusp that k leaves in the
-    gradient at a center is rounded off by r → √(r² + δ²) with ``rounding`` δ in frame units.
+    gradient at a center is rounded off by r → √(r² + δ²) with ``rounding`` δ in frame units: far
+    below the size of a splat, and enough for Runge-Kutta to keep its order.
 
     With no centers it is an affine field.
     """
 
+    name: ClassVar[str] = "spline"
     centers: Tensor
     weights: Tensor
     affine: Tensor
 
-    def __init__(self, dim: int, *, centers: int = 0, rounding: float = 1e-3) -> None:
+    def __init__(self, dim: int, *, centers: int = 0, rounding: float = 1e-2) -> None:
         super().__init__()
         self.dim = dim
         self.rounding = rounding
@@ -59,40 +61,47 @@ class SplineField(nn.Module):
         return u.split(max(1, CHUNK // max(1, len(self.centers))))
 
     def _value(self, u: Tensor) -> Tensor:
-        kernel = self.kernel(squared_distances(u, self.centers.to(u)))
         affine = self.affine.to(u)
-        return torch.addmm(affine[0], u, affine[1:]) + kernel @ self.weights.to(u)
+        straight = torch.addmm(affine[0], u, affine[1:])
+        return torch.addmm(straight, self.kernel(u, self.centers.to(u)), self.weights.to(u))
 
     def _jacobian(self, u: Tensor) -> Tensor:
-        offsets = u[:, None] - self.centers.to(u)
-        first, _ = self._slopes(offsets.square().sum(-1))
-        bent = torch.einsum("mk,mkj,ki->mij", first, offsets, self.weights.to(u))
-        return bent + self.affine.to(u)[1:].T
+        # Σ k'/ρ (u - c)_j w_i, multiplied out so that it is one matrix product.
+        centers, weights = self.centers.to(u), self.weights.to(u)
+        outer = (weights[:, :, None] * centers[:, None, :]).flatten(1)
+        first, _ = self._slopes(u)
+        summed = first @ torch.cat([weights, outer], dim=1)
+        bent = summed[:, : self.dim, None] * u[:, None, :]
+        return bent - summed[:, self.dim :].unflatten(1, (self.dim, self.dim)) + self._slope(u)
 
     def _hessian(self, u: Tensor) -> Tensor:
-        offsets = u[:, None] - self.centers.to(u)
-        first, second = self._slopes(offsets.square().sum(-1))
         weights = self.weights.to(u)
+        offsets = u[:, None] - self.centers.to(u)
+        first, second = self._slopes(u)
         curved = torch.einsum("mk,mkj,mkl,ki->mijl", second, offsets, offsets, weights)
-        return curved + torch.einsum("mk,ki,jl->mijl", first, weights, torch.eye(self.dim).to(u))
+        return curved + (first @ weights)[:, :, None, None] * torch.eye(self.dim).to(u)
 
-    def kernel(self, squared: Tensor) -> Tensor:
-        """k as a function of r², any shape."""
-        rounded = squared + self.rounding**2
-        return -rounded.sqrt() if self.dim == 3 else 0.5 * rounded * rounded.log()
+    def _slope(self, u: Tensor) -> Tensor:
+        return self.affine.to(u)[1:].T
 
-    def _slopes(self, squared: Tensor) -> tuple[Tensor, Tensor]:
-        # With s = r² + δ² and offset d: ∇k = first·d, ∇∇k = first·I + second·d dᵀ.
-        rounded = squared + self.rounding**2
+    def kernel(self, a: Tensor, b: Tensor) -> Tensor:
+        """k(√(|a_i - b_j|² + δ²)): (m, dim), (k, dim) -> (m, k)."""
+        rho = self._distances(a, b)
+        return -rho if self.dim == 3 else rho.square() * rho.log()
+
+    def _distances(self, a: Tensor, b: Tensor) -> Tensor:
+        # δ is one more coordinate by which all of a lies beside all of b.
+        lifted = torch.cat([a, torch.full_like(a[:, :1], self.rounding)], dim=1)
+        flat = torch.cat([b, torch.zeros_like(b[:, :1])], dim=1)
+        return torch.cdist(lifted, flat, compute_mode="donot_use_mm_for_euclid_dist")
+
+    def _slopes(self, u: Tensor) -> tuple[Tensor, Tensor]:
+        # With offset d: ∇k = first · d and ∇∇k = first · I + second · d dᵀ.
+        rho = self._distances(u, self.centers.to(u))
         if self.dim == 3:
-            first = -rounded.rsqrt()
-            return first, -first / rounded
-        return 1 + rounded.log(), 2 / rounded
-
-
-def squared_distances(a: Tensor, b: Tensor) -> Tensor:
-    """|a_i - b_j|²: (m, dim), (k, dim) -> (m, k), without the cancellation of a² - 2ab + b²."""
-    return sum(((a[:, i, None] - b[None, :, i]).square() for i in range(a.shape[1])), 0 * a[:, :1])
+            inverse = rho.reciprocal()
+            return -inverse, inverse**3
+        return 1 + 2 * rho.log(), 2 / rho.square()
 
 
 class SplineInterpolant:
@@ -108,7 +117,7 @@ class SplineInterpolant:
     def __init__(self, field: SplineField, centers: Tensor, smoothing: float) -> None:
         self.field = field
         self.centers = centers
-        count, dim = centers.shape
+        count = len(centers)
         self.mean = centers.mean(0)
         spread = centers - self.mean
         _, singular, axes = torch.linalg.svd(spread, full_matrices=False)
@@ -116,7 +125,7 @@ class SplineInterpolant:
         polynomials = torch.cat([torch.ones_like(spread[:, :1]), spread @ self.axes.T], dim=1)
         extra = polynomials.shape[1]
         system = centers.new_zeros(count + extra, count + extra)
-        system[:count, :count] = field.kernel(squared_distances(centers, centers))
+        system[:count, :count] = field.kernel(centers, centers)
         system[:count, :count].diagonal().add_(smoothing)
         system[:count, count:] = polynomials
         system[count:, :count] = polynomials.T

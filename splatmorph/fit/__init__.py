@@ -1,0 +1,194 @@
+"""fit: landmarks in, a flow that meets them out."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from splatmorph.errors import LandmarkError, NonFiniteError
+from splatmorph.fit.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions, shape_of
+from splatmorph.fit.objectives import (
+    ConjugateObjective,
+    IfmorphObjective,
+    Region,
+    SirenObjective,
+)
+from splatmorph.fit.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
+from splatmorph.fit.solve import Record, solve_displacement, solve_spline
+from splatmorph.fit.train import Objective, train
+from splatmorph.flows import Conjugate, Displacement, Flow, Ifmorph, Node, SplineField
+from splatmorph.landmarks import Landmarks
+from splatmorph.metrics import flow_laws, landmark_mse
+
+__all__ = ["ENERGIES", "FitConfig", "FitProgress", "FitReport", "FitState", "fit"]
+
+DEFAULTS = FitConfig()
+"""The settings of a fit that is asked for nothing else."""
+INTEGRATION_SHARE = 0.1
+"""The integration error may be this part of the root mean squared landmark error …"""
+INTEGRATION_FLOOR = 2e-6
+"""… or this many frame units, whichever is more."""
+
+
+def fit(
+    flow: Flow,
+    source: Landmarks,
+    target: Landmarks,
+    config: FitConfig = DEFAULTS,
+    *,
+    domain: Tensor | None = None,
+    on_step: Callable[[FitProgress], None] | None = None,
+    resume: FitState | None = None,
+    on_state: Callable[[FitState], None] | None = None,
+) -> FitReport:
+    """Fit ``flow`` in place so that Φ(p, t) = Φ(q, t - 1) for the matched landmarks p and q.
+
+    The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then a
+    field that is linear in its weights is solved for and any other is trained. Everything runs
+    where the flow is, the landmarks included.
+
+    Arguments:
+        source, target: landmarks in world units, matched by ``source.match(target)``.
+        domain: (m, dim) world points where the object is; the energy is kept small there beside
+            the landmarks' box, and the report looks there.
+        on_step: called with the progress.
+        on_state: called now and then by a training, with what ``resume`` takes to go on.
+
+    ``KeyboardInterrupt`` ends a fit early: the best flow so far is kept and the report says so.
+
+    Raises:
+        LandmarkError: the landmarks don't match, or all lie in one point.
+        NonFiniteError: the flow became NaN or infinite.
+    """
+    p, q, names = source.match(target)
+    device = flow.center.device
+    p, q = p.to(device), q.to(device)
+    _lay_frame(flow, p, q)
+    begun = time.perf_counter()
+    history: list[FitProgress] = []
+
+    def record(step: int, steps: int, mse: float) -> None:
+        history.append(FitProgress(step, steps, mse, time.perf_counter() - begun))
+        if on_step is not None:
+            on_step(history[-1])
+
+    finished = True
+    try:
+        finished = _fit_unit(flow, p, q, domain, config, record, resume, on_state)
+    except KeyboardInterrupt:
+        finished = False
+    seconds = time.perf_counter() - begun
+    return _report(flow, p, q, names, domain, config, history, seconds, finished)
+
+
+def _lay_frame(flow: Flow, p: Tensor, q: Tensor) -> None:
+    both = torch.cat([p, q])
+    low, high = both.amin(0), both.amax(0)
+    half = float((high - low).max() / 2)
+    if half == 0:
+        raise LandmarkError("all landmarks lie in one point, expected points on an object")
+    flow.set_frame((low + high) / 2, half)
+
+
+def _fit_unit(
+    flow: Flow,
+    p: Tensor,
+    q: Tensor,
+    domain: Tensor | None,
+    config: FitConfig,
+    record: Record,
+    resume: FitState | None,
+    on_state: Callable[[FitState], None] | None,
+) -> bool:
+    p, q = flow.to_unit(p), flow.to_unit(q)
+    if isinstance(flow, Node) and isinstance(flow.field, SplineField):
+        solve_spline(flow.field, p, q, config, record)
+        return True
+    if isinstance(flow, Displacement):
+        solve_displacement(flow, p, q, config)
+        return True
+    objective = _objective(flow, p, q, domain, config)
+    return objective is None or train(objective, config, record, resume, on_state)
+
+
+def _objective(
+    flow: Flow, p: Tensor, q: Tensor, domain: Tensor | None, config: FitConfig
+) -> Objective | None:
+    inside = None if domain is None else flow.to_unit(domain.to(p)).float()
+    region = Region(torch.cat([p, q]).float(), inside)
+    if isinstance(flow, Node):
+        return SirenObjective(flow, p, q, region, config)
+    if isinstance(flow, Conjugate):
+        return ConjugateObjective(flow, p, q, region)
+    if isinstance(flow, Ifmorph):
+        return IfmorphObjective(flow, p, q, region)
+    return None
+
+
+def _report(
+    flow: Flow,
+    p: Tensor,
+    q: Tensor,
+    names: tuple[str, ...],
+    domain: Tensor | None,
+    config: FitConfig,
+    history: list[FitProgress],
+    seconds: float,
+    finished: bool,
+) -> FitReport:
+    generator = torch.Generator().manual_seed(config.seed)
+    object_points = torch.cat([p, q]) if domain is None else domain.to(p)
+    if isinstance(flow, Node):
+        unit = flow.to_unit(torch.cat([p, q, object_points[:1000]]))
+        rms = (history[-1].mse if history else 0.0) ** 0.5
+        flow.steps = choose_steps(flow, unit, max(INTEGRATION_SHARE * rms, INTEGRATION_FLOOR))
+    square = float(flow.scale) ** 2
+    before = float((p - q).square().mean())
+    after = landmark_mse(flow, p, q)
+    missed = (flow(p, 1.0) - q).norm(dim=1)
+    if not torch.isfinite(missed).all():
+        raise NonFiniteError(
+            "the fitted flow is NaN or infinite at its landmarks: look for landmarks that "
+            "contradict each other, or raise the smoothing"
+        )
+    order = missed.argsort(descending=True).tolist()
+    errors = {names[i]: float(missed[i]) for i in order}
+    shape = shape_of(flow, object_points, generator)
+    warnings = contradictions(p, q, names)
+    if shape.det_min < SQUEEZED:
+        does = "folds" if shape.det_min <= 0 else "squeezes"
+        where = ", ".join(f"{value:.4g}" for value in shape.det_min_at)
+        warnings.append(f"the warp {does} (det {shape.det_min:.2g}) near ({where})")
+    return FitReport(
+        kind=flow.kind,
+        landmarks=len(p),
+        scale=float(flow.scale),
+        mse_before=before / square,
+        mse=after / square,
+        mse_world_before=before,
+        mse_world=after,
+        errors=errors,
+        laws=flow_laws(flow, object_points[:1000]),
+        det_min=shape.det_min,
+        det_max=shape.det_max,
+        det_min_at=shape.det_min_at,
+        energy_first=shape.energy_first,
+        energy_second=shape.energy_second,
+        steps=history[-1].step if history else 0,
+        seconds=seconds,
+        interrupted=not finished,
+        status=_status(after / square, errors, finished),
+        warnings=tuple(warnings),
+        history=tuple(history),
+    )
+
+
+def _status(mse: float, errors: dict[str, float], finished: bool) -> str:
+    how = "" if finished else "interrupted, the best so far is kept: "
+    if mse**0.5 < MISSED:
+        return f"{how}landmarks met"
+    worst = ", ".join(f"{name} by {error:.3g}" for name, error in list(errors.items())[:3])
+    return f"{how}landmarks missed, worst {worst}"

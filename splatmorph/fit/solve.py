@@ -1,0 +1,96 @@
+"""Fits without training: a field that is linear in its weights is solved for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import torch
+from torch import Tensor
+
+from splatmorph.fit.report import FitConfig
+from splatmorph.flows.displacement import Displacement
+from splatmorph.flows.node import runge_kutta
+from splatmorph.flows.spline import SplineField, SplineInterpolant
+
+SPLINE_STEPS = 12
+TRAINING_STEP = 0.25
+"""Longest Runge-Kutta step while fitting; a longer one meets the landmarks only by itself."""
+
+Record = Callable[[int, int, float], None]
+"""(step, steps, mean squared landmark error a coordinate)"""
+
+
+def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) -> Tensor:
+    """Φ(q, -1/2) - Φ(p, 1/2), (k, dim): zero where an autonomous flow meets its landmarks."""
+    half = torch.full((len(p), 1), 0.5, dtype=p.dtype, device=p.device)
+    ends = runge_kutta(
+        velocity, torch.cat([p, q]), torch.cat([half, -half]), round(0.5 / TRAINING_STEP)
+    )
+    return ends[len(p) :] - ends[: len(p)]
+
+
+def solve_affine(field: SplineField, p: Tensor, q: Tensor) -> None:
+    """Make ``field`` the affine velocity that comes closest to q - p at the midpoints."""
+    middle = (p + q) / 2
+    design = torch.cat([torch.ones_like(middle[:, :1]), middle], dim=1)
+    affine = torch.linalg.pinv(design) @ (q - p)
+    field.set(middle[:0], middle[:0], affine)
+
+
+def solve_spline(
+    field: SplineField, p: Tensor, q: Tensor, config: FitConfig, record: Record
+) -> None:
+    """Make ``field`` the spline whose flow takes p to q (k, dim), frame coordinates.
+
+    The unknowns are its values at the midpoints. To first order the half-time gap answers one to
+    one to them, so they are corrected by the gap itself, with Anderson's acceleration; the spline
+    system is factorised once. With smoothing λ > 0 the fixed point minimises Σ|gap|² + λ·bending.
+    """
+    p, q = _distinct(p, q)
+    interpolant = SplineInterpolant(field, (p + q) / 2, config.smoothing)
+    data = q - p
+    steps = config.steps or SPLINE_STEPS
+    tried: list[tuple[Tensor, Tensor]] = []
+    best, best_mse = data, float("inf")
+    for step in range(steps):
+        interpolant.set_values(data)
+        gap = half_time_gap(field, p, q)
+        mse = float(gap.square().mean())
+        record(step + 1, steps, mse)
+        if mse < best_mse or config.smoothing:
+            best, best_mse = data, mse
+        change = gap if not config.smoothing else gap + field(interpolant.centers) - data
+        if float(change.square().mean()) < config.tolerance:
+            return
+        tried.append((data, change))
+        data = anderson(tried)
+    interpolant.set_values(best)
+
+
+def anderson(tried: list[tuple[Tensor, Tensor]]) -> Tensor:
+    """The next iterate of x ← x + f(x), from every (x, f(x)) so far (Anderson 1965)."""
+    x, f = tried[-1]
+    if len(tried) == 1:
+        return x + f
+    dx = torch.stack([(x - earlier).flatten() for earlier, _ in tried[:-1]], 1)
+    df = torch.stack([(f - earlier).flatten() for _, earlier in tried[:-1]], 1)
+    mix = torch.linalg.lstsq(df, f.flatten()[:, None]).solution
+    return x + f - ((dx + df) @ mix).reshape(x.shape)
+
+
+def _distinct(p: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
+    # Pairs with one midpoint would make the spline system singular: their mean stands for them.
+    # The rounding is far below what a landmark can mean.
+    _, which = torch.unique(((p + q) / 2 * 1e9).round(), dim=0, return_inverse=True)
+    count = int(which.max()) + 1
+    if count == len(p):
+        return p, q
+    size = torch.bincount(which).to(p)[:, None]
+    mean = [torch.zeros(count, p.shape[1]).to(p).index_add(0, which, x) / size for x in (p, q)]
+    return mean[0], mean[1]
+
+
+def solve_displacement(flow: Displacement, p: Tensor, q: Tensor, config: FitConfig) -> None:
+    """Make ``flow`` the thin-plate displacement between p and q (k, dim), and back."""
+    SplineInterpolant(flow.onward, p, config.smoothing).set_values(q - p)
+    SplineInterpolant(flow.back, q, config.smoothing).set_values(p - q)
