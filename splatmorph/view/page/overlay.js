@@ -1,0 +1,53 @@
+// Landmarks, their paths and names, drawn over the splats.
+
+class LandmarkOverlay {
+  constructor(canvas, tip, scene) {
+    Object.assign(this, { canvas, tip, scene, points: [] });
+    const style = getComputedStyle(document.documentElement);
+    this.colours = { source: style.getPropertyValue("--source"), target: style.getPropertyValue("--target") };
+  }
+
+  at(landmark, weights) {
+    return mix(landmark, weights);
+  }
+
+  draw(view, ratio, t, shown) {
+    const { canvas, scene } = this;
+    canvas.width = Math.round(view.width);
+    canvas.height = Math.round(view.height);
+    this.points = [];
+    if (!shown) return this.point(null);
+    const pen = canvas.getContext("2d");
+    const now = knotWeights(scene.knots, t);
+    const stops = Array.from({ length: 17 }, (_, i) => knotWeights(scene.knots, i / 16));
+    for (const side of ["source", "target"]) {
+      pen.strokeStyle = pen.fillStyle = this.colours[side];
+      scene.landmarks[side].forEach((landmark, i) => {
+        pen.globalAlpha = 0.45;
+        pen.lineWidth = 1.1 * ratio;
+        pen.beginPath();
+        for (const weights of stops) pen.lineTo(...project(view, this.at(landmark, weights)).slice(0, 2));
+        pen.stroke();
+        const [x, y, z] = project(view, this.at(landmark, now));
+        if (z <= 0) return;
+        pen.globalAlpha = 1;
+        pen.beginPath();
+        pen.arc(x, y, 2.6 * ratio, 0, 2 * Math.PI);
+        pen.fill();
+        this.points.push({ x: x / ratio, y: y / ratio, name: scene.landmarks.names[i] });
+      });
+    }
+  }
+
+  // The name of the landmark under the pointer, if any.
+  point(pointer) {
+    const near = pointer && this.points
+      .map((p) => ({ ...p, far: Math.hypot(p.x - pointer.x, p.y - pointer.y) }))
+      .filter((p) => p.far < 8).sort((a, b) => a.far - b.far)[0];
+    this.tip.hidden = !near;
+    if (near) {
+      this.tip.textContent = near.name;
+      this.tip.style.transform = `translate(${near.x + 12}px, ${near.y - 12}px)`;
+    }
+  }
+}

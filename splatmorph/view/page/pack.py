@@ -1,0 +1,219 @@
+"""The page's payload: splats at rest, their moves and shapes at the knots, opacity tables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from renderer.cameras import orbit
+from splatmorph.covariance import polar_rotation
+from splatmorph.gaussians import Gaussians
+from splatmorph.ramps import RAMPS
+from splatmorph.view.knots import FINEST, fewest_knots, knot_times, knot_weights
+from splatmorph.view.subject import Subject
+
+SH0 = 0.28209479177387814
+"""The constant spherical harmonic, √(1/4π)."""
+PICTURE_HEIGHT = 1080
+"""Pixels of the picture in which the error of a move is counted."""
+TOLERANCE = 0.2
+"""Pixels a path between its knots may be off, before rounding."""
+LOG_SCALE_SPAN = 12.0
+"""Natural log of the largest scale over the smallest that is told from nothing."""
+RAMP_STEPS = 65
+SAMPLE = 4096
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Packed:
+    """What the page is told, beside its texts."""
+
+    arrays: Mapping[str, NDArray[np.generic]]
+    facts: Mapping[str, object]
+    """JSON beside the arrays: knots, ranges, the first camera."""
+    knots: int
+    error_px: float
+    """The largest distance between a stored path and the flow's, in a 1080-pixel picture."""
+
+
+def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Packed:
+    """Pack ``source`` and ``target`` (thinned) with the motion that ``subject``'s flow gives."""
+    height = PICTURE_HEIGHT
+    camera = orbit(subject.bounds(), [0.0], up=up, width=height, height=height)[0]
+    center = subject.bounds().center
+    distance = float(np.linalg.norm(camera.position - center))
+    pixel = distance / float(camera.K[1, 1])
+    right, down, forward = camera.viewmat[:3, :3]
+
+    motion = _Motion(subject, (source, target), TOLERANCE * pixel)
+    moves, move_scale = _rounded(motion.moves(), 32767, np.int16)
+    deforms, deform_scale = _rounded_shapes(motion.deforms())
+    still, ranges = _at_rest(Gaussians.union(source, target))
+    ends = {
+        "source": motion.landmarks(subject.source_points, 0),
+        "target": motion.landmarks(subject.target_points, 1),
+    }
+    arrays = {**still, "moves": moves, "deforms": deforms, "ramps": _ramp_tables()}
+    facts = {
+        **ranges,
+        "knots": motion.times.tolist(),
+        "moveScale": move_scale.tolist(),
+        "deformScale": deform_scale,
+        "rampNames": list(RAMPS),
+        "rampSteps": RAMP_STEPS,
+        "landmarks": {"names": list(subject.landmark_names), **ends},
+        "camera": {
+            "center": center.tolist(),
+            "right": right.tolist(),
+            "up": (-down).tolist(),
+            "back": (-forward).tolist(),
+            "distance": distance,
+            "azimuth": 0.0,
+            "elevation": 0.0,
+            "fov": 2 * math.atan(height / 2 / float(camera.K[1, 1])),
+            "near": min(0.01, 0.01 * distance),
+        },
+    }
+    error = motion.error(moves * move_scale) / pixel
+    return Packed(arrays, facts, len(motion.times), error)
+
+
+class _Motion:
+    """The paths of both sides, at the fewest knots that keep them within ``tolerance``."""
+
+    def __init__(
+        self, subject: Subject, sides: tuple[Gaussians, Gaussians], tolerance: float
+    ) -> None:
+        self.flow = subject.morph.flow
+        self.sides = sides
+        self.covariance = subject.covariance
+        finest = knot_times(FINEST)
+        paths = [
+            self.paths(side.means[:: max(1, len(side) // SAMPLE)], i, finest)
+            for i, side in enumerate(sides)
+        ]
+        self.times = knot_times(fewest_knots(np.concatenate(paths, axis=1), tolerance))
+
+    @torch.no_grad()
+    def paths(self, points: torch.Tensor, side: int, times: Array) -> Array:
+        """(T, m, 3) where points of the source (side 0) or target (1) are at ``times``."""
+        moved = self.flow.trajectory(points, (times - side).tolist())
+        return np.asarray(moved.double().numpy(force=True))
+
+    def landmarks(self, points: torch.Tensor, side: int) -> list[list[list[float]]]:
+        """k landmarks × knots × 3."""
+        return [path.tolist() for path in self.paths(points, side, self.times).swapaxes(0, 1)]
+
+    def _ways(self, side: int) -> Array:
+        """The knots away from a side's own end."""
+        return self.times[1:] if side == 0 else self.times[:-1]
+
+    def moves(self) -> Array:
+        """(n, knots - 1, 3) from each splat's own end to the other knots."""
+        found = []
+        for i, side in enumerate(self.sides):
+            paths = self.paths(side.means, i, self._ways(i))
+            found.append((paths - side.means.double().numpy(force=True)).swapaxes(0, 1))
+        return np.concatenate(found)
+
+    @torch.no_grad()
+    def deforms(self) -> Array:
+        """(n, knots - 1, 3, 3) what each shape is multiplied by, less the identity; or none."""
+        if self.covariance == "fixed":
+            return np.empty((0, 3, 3))
+        found = []
+        for i, side in enumerate(self.sides):
+            times = (self._ways(i) - i).tolist()
+            shapes = self.flow.trajectory_jacobian(side.means, times)[1].flatten(0, 1)
+            if self.covariance == "rotate":
+                shapes = polar_rotation(shapes.permute(1, 2, 0)).permute(2, 0, 1)
+            found.append(shapes.unflatten(0, (len(times), -1)).transpose(0, 1))
+        return torch.cat(found).double().numpy(force=True) - np.eye(3)
+
+    def error(self, moves: Array) -> float:
+        """The largest miss of the stored moves half way between the knots, world units."""
+        checks = (self.times[1:] + self.times[:-1]) / 2
+        first = len(self.sides[0])
+        worst = 0.0
+        for i, (side, kept) in enumerate(zip(self.sides, np.split(moves, [first]), strict=True)):
+            step = max(1, len(side) // SAMPLE)
+            start, kept = side.means[::step], kept[::step]
+            truth = self.paths(start, i, checks) - start.double().numpy(force=True)
+            for t, moved in zip(checks, truth, strict=True):
+                weights = knot_weights(self.times, t)
+                weights = weights[1:] if i == 0 else weights[:-1]
+                missed = np.einsum("k,nkd->nd", weights, kept) - moved
+                worst = max(worst, float(np.linalg.norm(missed, axis=1).max(initial=0)))
+        return worst
+
+
+def _at_rest(both: Gaussians) -> tuple[dict[str, NDArray[np.generic]], dict[str, object]]:
+    log_scales = both.log_scales.double().numpy(force=True)
+    top = float(log_scales.max())
+    low = max(float(log_scales.min()), top - LOG_SCALE_SPAN)
+    share = np.clip((log_scales - low) / max(top - low, 1e-6), 0, 1)
+    steps = np.rint(share * [2047, 2047, 1023]).astype(np.uint32)
+    colours = np.maximum(0.5 + SH0 * both.sh[:, 0].double().numpy(force=True), 0)
+    brightest = float(max(1.0, np.quantile(colours, 0.999)))
+    # Opacities as square roots: most are small, and small ones need the finer steps.
+    roots = np.sqrt(both.opacities.double().numpy(force=True))
+    bytes_ = np.column_stack([np.minimum(colours / brightest, 1), roots])
+    arrays = {
+        "centers": both.means.float().numpy(force=True),
+        "colours": np.rint(255 * bytes_).astype(np.uint8).view("<u4").ravel(),
+        "rotations": _packed_rotations(both.quats.double().numpy(force=True)),
+        "logScales": steps[:, 0] | steps[:, 1] << 11 | steps[:, 2] << 22,
+    }
+    return arrays, {"logScaleRange": [low, top], "colourScale": brightest}
+
+
+def _packed_rotations(quats: Array) -> NDArray[np.uint32]:
+    """Unit quaternions as the place of their largest component and the other three, 10 bits each."""
+    quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
+    place = np.abs(quats).argmax(axis=1)
+    rows = np.arange(len(quats))
+    quats = quats * np.where(quats[rows, place] < 0, -1, 1)[:, None]
+    others = np.array([[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]])[place]
+    small = quats[rows[:, None], others] * math.sqrt(2)
+    steps = np.rint(511 * (np.clip(small, -1, 1) + 1)).astype(np.uint32)
+    return np.asarray(
+        steps[:, 0] | steps[:, 1] << 10 | steps[:, 2] << 20 | place.astype(np.uint32) << 30
+    )
+
+
+def _rounded(values: Array, top: int, dtype: type) -> tuple[NDArray[np.generic], Array]:
+    """Values (…, 3) as integers of at most ``top``, and the (3,) steps that give them back."""
+    step = np.maximum(np.abs(values).max(axis=(0, 1), initial=0), 1e-30) / top
+    return np.rint(values / step).astype(dtype), step
+
+
+def _rounded_shapes(deforms: Array) -> tuple[NDArray[np.int8], float]:
+    """(…, 3, 3) in bytes, columns first as shaders take them. The wildest 1 ‰ are cut."""
+    if not deforms.size:
+        return np.empty(0, np.int8), 0.0
+    most = max(float(np.quantile(np.abs(deforms).max(axis=(1, 2, 3)), 0.999)), 1e-30)
+    columns = deforms.swapaxes(-1, -2) / most * 127
+    return np.rint(np.clip(columns, -127, 127)).astype(np.int8), most / 127
+
+
+def _ramp_tables() -> NDArray[np.uint16]:
+    """(ramps, RAMP_STEPS, 256) opacity, in 65535ths, of the 256 stored ones at each weight."""
+    stored = (torch.arange(256, dtype=torch.float64) / 255).square()
+    logits = stored.clamp(1e-12, 1 - 1e-12).logit()
+    some = Gaussians(
+        torch.zeros(256, 3), torch.zeros(256, 4), torch.zeros(256, 3), logits, torch.zeros(256, 1, 3)
+    )
+    tables = np.zeros((len(RAMPS), RAMP_STEPS, 256))
+    for table, ramp in zip(tables, RAMPS.values(), strict=True):
+        for row, weight in zip(table[1:-1], np.linspace(0, 1, RAMP_STEPS)[1:-1], strict=True):
+            row[:] = ramp(some, float(weight)).opacities.numpy()
+        table[-1] = stored.numpy()
+    tables[:, :, 0] = 0
+    return np.rint(65535 * tables).astype(np.uint16)

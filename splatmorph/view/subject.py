@@ -1,0 +1,96 @@
+"""Subject: a run opened to be looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from renderer.cameras import Bounds, bounds_of
+from splatmorph.errors import OptionError
+from splatmorph.gaussians import Gaussians
+from splatmorph.morph import Morph
+from splatmorph.run import load_inputs, open_run
+
+VISIBLE = 1 / 255
+"""Opacity below which no rasterizer draws a splat."""
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A morph, with the names and landmarks that pictures of it show."""
+
+    morph: Morph
+    source_name: str = "source"
+    target_name: str = "target"
+    source_points: Tensor = torch.empty(0, 3, dtype=torch.float64)
+    """(k, 3) the source's landmarks, world units; none is fine."""
+    target_points: Tensor = torch.empty(0, 3, dtype=torch.float64)
+    """(k, 3) where they are on the target."""
+    landmark_names: tuple[str, ...] = ()
+    ramp: str = "linear"
+    covariance: str = "fixed"
+
+    @property
+    def title(self) -> str:
+        """Both names."""
+        return f"{self.source_name} → {self.target_name}"
+
+    def bounds(self) -> Bounds:
+        """The sphere round both splats, floaters left out."""
+        both = (self.morph.source, self.morph.target)
+        return bounds_of(
+            *(
+                np.concatenate([getattr(splat, name).numpy(force=True) for splat in both])
+                for name in ("means", "opacities", "scales")
+            )
+        )
+
+
+def open_subject(
+    folder: str | Path, *, ramp: str = "linear", covariance: str = "fixed"
+) -> tuple[Subject, Mapping[str, Any]]:
+    """The subject of a run directory, and the report of its fit.
+
+    Raises:
+        RunError: the directory is no run, or its inputs have moved or changed.
+        OptionError: an unknown ramp or covariance, or a run of more than two splats.
+    """
+    run = open_run(folder)
+    if len(run.inputs) != 2:
+        raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
+    (source, target), leg = load_inputs(run), run.legs[0]
+    morph = Morph(
+        source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance
+    )
+    subject = Subject(
+        morph,
+        source.name,
+        target.name,
+        leg.source_points,
+        leg.target_points,
+        leg.names,
+        ramp,
+        covariance,
+    )
+    return subject, leg.report
+
+
+def footprints(gaussians: Gaussians) -> Tensor:
+    """(n,) how much of a picture each splat can cover: opacity × its two largest scales."""
+    scales = gaussians.scales.sort(dim=1).values
+    return gaussians.opacities * scales[:, 1] * scales[:, 2]
+
+
+def thin(gaussians: Gaussians, most: int) -> Tensor:
+    """Indices, ascending, of at most ``most`` splats: the visible ones that cover most."""
+    visible = (gaussians.opacities >= VISIBLE).nonzero().flatten()
+    if len(visible) <= most:
+        return visible
+    order = footprints(gaussians)[visible].argsort(descending=True, stable=True)
+    return visible[order[:most]].sort().values
