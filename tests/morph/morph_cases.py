@@ -24,7 +24,8 @@ class AffineFlow(Flow):
 
     def trajectory_jacobian(self, x: Tensor, times: Sequence[float]) -> tuple[Tensor, Tensor]:
         self.calls += 1
-        maps = torch.stack([torch.matrix_exp(t * self.augmented) for t in times]).to(x)
+        steps = torch.tensor(times, dtype=torch.float64)[:, None, None]
+        maps = torch.matrix_exp(steps * self.augmented).to(x)
         linear, shift = maps[:, :3, :3], maps[:, :3, 3]
         path = torch.einsum("tij,nj->tni", linear, x) + shift[:, None]
         return path, linear[:, None].expand(-1, len(x), -1, -1)
