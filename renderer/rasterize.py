@@ -1,0 +1,145 @@
+"""``rasterize``: Gaussian splats in, a picture out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer.errors import ArgumentError
+
+MAX_SIDE = 16384
+"""Pixels; tile coordinates stay well inside the kernels' integers."""
+
+
+def rasterize(
+    means: ArrayLike,
+    quats: ArrayLike,
+    scales: ArrayLike,
+    opacities: ArrayLike,
+    sh: ArrayLike,
+    viewmat: ArrayLike,
+    K: ArrayLike,
+    width: int,
+    height: int,
+    *,
+    background: Sequence[float] | None = None,
+    near: float = 0.01,
+    far: float = 1e10,
+    sh_degree: int | None = None,
+    device: str = "cpu",
+) -> tuple[Any, Any, Any]:
+    """Render Gaussian splats by EWA splatting (Zwicker et al. 2001; Kerbl et al. 2023).
+
+    Arguments
+        means (n, 3): centers, world units.
+        quats (n, 4): rotations local → world, wxyz, of any length but zero.
+        scales (n, 3): standard deviations along the local axes, world units.
+        opacities (n,): in [0, 1].
+        sh (n, (degree + 1)**2, 3): colour coefficients, degree 0 to 4, RGB last.
+        viewmat (4, 4) or (c, 4, 4): world → camera, OpenCV axes (x right, y down, z ahead).
+        K (3, 3) or (c, 3, 3): camera → pixels, without skew.
+        width, height: pixels.
+
+    Options
+        background: RGB behind the splats; none leaves the colours premultiplied on black.
+        near, far: splats whose center is not between these depths are not drawn.
+        sh_degree: use the bands up to this degree; all by default.
+        device: "cpu", or "cuda:0" and the like.
+
+    Returns ``rgb`` (height, width, 3), ``alpha`` (height, width) and ``depth`` (height, width):
+    the mean distance along the viewing axis, weighted by what each splat adds to the pixel,
+    0 where there is none. With c cameras each has a leading axis of length c. float32; torch
+    tensors if ``means`` is one, numpy arrays otherwise. Float32 arrays in C order are read in
+    place.
+
+    Splats with a value that is not finite, or a zero quaternion, are not drawn. Raises
+    ArgumentError for shapes or numbers that can't be rendered.
+    """
+    scene = _checked_scene(means, quats, scales, opacities, sh)
+    stored = math.isqrt(scene["sh"].shape[1]) - 1
+    degree = stored if sh_degree is None else sh_degree
+    if not 0 <= degree <= stored:
+        raise ArgumentError(f"sh_degree is {degree}, expected 0 to {stored}, the degree of sh")
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ArgumentError(f"the picture is {width}x{height}, expected 1 to {MAX_SIDE} a side")
+    if not 0 < near < far:
+        raise ArgumentError(f"near is {near} and far {far}, expected 0 < near < far")
+    behind = np.zeros(3) if background is None else np.asarray(background, np.float64)
+    if behind.shape != (3,) or not np.isfinite(behind).all():
+        raise ArgumentError(f"background is {background!r}, expected three finite numbers, RGB")
+    viewmats, Ks = _checked_cameras(viewmat, K)
+
+    from renderer import portable
+
+    size, depths = (int(width), int(height)), (float(near), float(far))
+    views = [portable.view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
+    pictures = portable.render(scene, degree, views, behind, device)
+    if np.ndim(viewmat) == 2 and np.ndim(K) == 2:
+        pictures = tuple(picture[0] for picture in pictures)
+    if _is_torch(means):
+        import torch
+
+        pictures = tuple(torch.from_numpy(picture) for picture in pictures)
+    return pictures
+
+
+def _is_torch(array: object) -> bool:
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(array, torch.Tensor)
+
+
+def _as_numpy(name: str, array: Any, dtype: type) -> NDArray[Any]:
+    if _is_torch(array):
+        array = array.detach().cpu()
+    try:
+        return np.ascontiguousarray(array, dtype)
+    except (ValueError, TypeError) as error:
+        raise ArgumentError(f"{name} is no array of numbers: {error}") from error
+
+
+def _checked_scene(*arrays: ArrayLike) -> dict[str, NDArray[np.float32]]:
+    names = ("means", "quats", "scales", "opacities", "sh")
+    scene = {
+        name: _as_numpy(name, array, np.float32) for name, array in zip(names, arrays, strict=True)
+    }
+    n = len(scene["means"]) if scene["means"].ndim else 0
+    tails = {"means": (3,), "quats": (4,), "scales": (3,), "opacities": ()}
+    for name, tail in tails.items():
+        if scene[name].shape != (n, *tail):
+            expected = ", ".join(map(str, (n, *tail)))
+            raise ArgumentError(f"{name} has shape {scene[name].shape}, expected ({expected})")
+    shape = scene["sh"].shape
+    if shape not in {(n, (degree + 1) ** 2, 3) for degree in range(5)}:
+        raise ArgumentError(
+            f"sh has shape {shape}, expected ({n}, k, 3) with k one of 1, 4, 9, 16, 25"
+        )
+    return scene
+
+
+def _checked_cameras(viewmat: ArrayLike, K: ArrayLike) -> tuple[NDArray[Any], NDArray[Any]]:
+    """(c, 4, 4) and (c, 3, 3) in float64."""
+    viewmats, Ks = _as_numpy("viewmat", viewmat, np.float64), _as_numpy("K", K, np.float64)
+    for name, array, side in (("viewmat", viewmats, 4), ("K", Ks, 3)):
+        if array.ndim not in (2, 3) or array.shape[-2:] != (side, side):
+            raise ArgumentError(
+                f"{name} has shape {array.shape}, expected ({side}, {side}) or (c, {side}, {side})"
+            )
+        if not np.isfinite(array).all():
+            raise ArgumentError(f"{name} has values that are not finite")
+    viewmats, Ks = np.atleast_3d(viewmats.T).T, np.atleast_3d(Ks.T).T
+    if len(viewmats) != len(Ks) and 1 not in (len(viewmats), len(Ks)):
+        raise ArgumentError(f"{len(viewmats)} viewmats and {len(Ks)} Ks, expected as many of both")
+    if not ((Ks[:, 0, 0] > 0) & (Ks[:, 1, 1] > 0)).all():
+        raise ArgumentError("K has a focal length that is not positive")
+    if (np.abs(np.linalg.det(viewmats[:, :3, :3])) < 1e-12).any():
+        raise ArgumentError("viewmat is singular: its rotation maps space to a plane")
+    count = max(len(viewmats), len(Ks))
+    return (
+        np.broadcast_to(viewmats, (count, 4, 4)),
+        np.broadcast_to(Ks, (count, 3, 3)),
+    )

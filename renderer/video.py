@@ -1,0 +1,214 @@
+"""Frames to files: mp4, gif, a folder of PNGs, single pictures.
+
+Every file is written beside its place and renamed when it is whole. A video is encoded on a
+thread of its own while the next frames are made; at most ``QUEUE`` frames wait for it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import queue
+import shutil
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from renderer.errors import OutputError
+
+Frame = NDArray[np.uint8]
+Sink = Callable[[Frame], None]
+
+QUEUE = 8
+VIDEOS = (".mp4", ".mov", ".mkv", ".webm")
+
+
+def to_bytes(picture: ArrayLike) -> Frame:
+    """A picture as uint8: floats are taken as 0 to 1, clipped and rounded, NaN is black."""
+    pixels: NDArray[Any] = np.asarray(picture)
+    if pixels.dtype != np.uint8:
+        pixels = (np.nan_to_num(pixels).clip(0, 1) * 255 + 0.5).astype(np.uint8)
+    return pixels
+
+
+def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None) -> Path:
+    """Write one picture; the extension chooses the format.
+
+    rgb (height, width, 3), uint8 or floats in 0 to 1. With ``alpha`` (height, width) in 0 to 1
+    the picture is transparent (PNG or WebP), and ``rgb`` is taken as premultiplied, which is
+    how ``rasterize`` returns it without a background. Raises OutputError.
+    """
+    import imageio.v3 as imageio
+
+    path = Path(path)
+    if alpha is None:
+        pixels = to_bytes(rgb)
+    else:
+        cover = np.asarray(alpha, np.float64)[..., None]
+        straight = np.asarray(rgb, np.float64) / np.maximum(cover, 1e-6)
+        pixels = to_bytes(np.concatenate([straight, cover], axis=-1))
+    with _beside(path) as partial:
+        try:
+            imageio.imwrite(partial, pixels)
+        except (ValueError, KeyError) as error:
+            raise OutputError(f"{path}: no picture can be written as such: {error}") from error
+    return path
+
+
+def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0) -> Path:
+    """Write frames to an .mp4 (.mov, .mkv, .webm), a .gif, or a folder of PNGs.
+
+    frames: (height, width, 3) pictures of one size, uint8 or floats in 0 to 1, made while
+    earlier ones are encoded. A path without extension is a folder, its files named
+    ``frame_0000.png`` and on. Videos with an odd side get their last row or column twice, since
+    h264 halves the colours. Without ffmpeg at hand a video becomes a .gif of the same stem.
+
+    Returns the path written to. Raises OutputError where there is no frame, sizes differ, the
+    extension is unknown or the place can't be written; whatever ``frames`` raises comes
+    through. Nothing is left behind then.
+    """
+    path = Path(path)
+    if path.suffix.lower() in VIDEOS and not _has_ffmpeg():
+        path = path.with_suffix(".gif")
+    with _beside(path) as partial, _sink(partial, fps) as sink, _on_thread(sink) as send:
+        shape = None
+        for frame in frames:
+            pixels = to_bytes(frame)
+            shape = shape or pixels.shape
+            if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.shape != shape:
+                raise OutputError(
+                    f"{path}: a frame has shape {pixels.shape}, expected {(*shape[:2], 3)}"
+                )
+            send(pixels)
+        if shape is None:
+            raise OutputError(f"{path}: there are no frames to write")
+    return path
+
+
+@contextlib.contextmanager
+def _beside(path: Path) -> Iterator[Path]:
+    """A temporary neighbour that takes the place of ``path`` when all went well."""
+    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
+    try:
+        yield partial
+        if partial.is_dir() and path.is_dir():
+            shutil.rmtree(path)
+        partial.replace(path)
+    except OSError as error:
+        raise OutputError(f"{path}: can't be written: {error.strerror or error}") from error
+    finally:
+        if partial.is_dir():
+            shutil.rmtree(partial, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):
+                partial.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _on_thread(sink: Sink) -> Iterator[Sink]:
+    """A sink that hands frames to ``sink`` on a thread; its failures are raised here."""
+    waiting: queue.Queue[Frame | None] = queue.Queue(QUEUE)
+    failures: list[BaseException] = []
+
+    def work() -> None:
+        while (frame := waiting.get()) is not None:
+            if not failures:
+                try:
+                    sink(frame)
+                except BaseException as error:
+                    failures.append(error)
+
+    def send(frame: Frame) -> None:
+        if failures:
+            raise failures[0]
+        waiting.put(frame)
+
+    thread = threading.Thread(target=work, name="encoder", daemon=True)
+    thread.start()
+    try:
+        yield send
+    finally:
+        waiting.put(None)
+        thread.join()
+    if failures:
+        raise failures[0]
+
+
+@contextlib.contextmanager
+def _sink(path: Path, fps: float) -> Iterator[Sink]:
+    suffix = path.suffix.lower()
+    if suffix in VIDEOS:
+        with _ffmpeg(path, fps) as sink:
+            yield sink
+    elif suffix == ".gif":
+        with _gif(path, fps) as sink:
+            yield sink
+    elif suffix == "":
+        yield _folder(path)
+    else:
+        raise OutputError(f"{path.name}: expected .mp4, .gif or a folder, not {suffix!r}")
+
+
+def _has_ffmpeg() -> bool:
+    try:
+        import imageio_ffmpeg
+
+        return bool(imageio_ffmpeg.get_ffmpeg_exe())
+    except (ImportError, RuntimeError):
+        return False
+
+
+@contextlib.contextmanager
+def _ffmpeg(path: Path, fps: float) -> Iterator[Sink]:
+    import imageio_ffmpeg
+
+    stream: Any = None
+
+    def send(frame: Frame) -> None:
+        nonlocal stream
+        height, width = frame.shape[:2]
+        if height % 2 or width % 2:
+            frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+        if stream is None:
+            stream = imageio_ffmpeg.write_frames(
+                str(path), frame.shape[1::-1], fps=fps, quality=8, macro_block_size=2,
+                ffmpeg_log_level="error",
+            )  # fmt: skip
+            stream.send(None)
+        stream.send(np.ascontiguousarray(frame))
+
+    try:
+        yield send
+    finally:
+        if stream is not None:
+            stream.close()
+    if not path.exists() or path.stat().st_size == 0:
+        raise OutputError(f"{path.name}: ffmpeg wrote nothing; is there room on the disk?")
+
+
+@contextlib.contextmanager
+def _gif(path: Path, fps: float) -> Iterator[Sink]:
+    import imageio.v2 as imageio
+
+    # A gif counts hundredths of a second, and players slow down what is below two of them.
+    duration = max(20, round(100 / fps) * 10)
+    with imageio.get_writer(path, format="GIF", duration=duration, loop=0) as writer:  # type: ignore[arg-type]
+        yield writer.append_data
+
+
+def _folder(path: Path) -> Sink:
+    import imageio.v3 as imageio
+
+    path.mkdir()
+    count = 0
+
+    def send(frame: Frame) -> None:
+        nonlocal count
+        imageio.imwrite(path / f"frame_{count:04d}.png", frame)
+        count += 1
+
+    return send
