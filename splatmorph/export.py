@@ -67,10 +67,9 @@ def export_sequence(
     digits = max(4, len(str(len(times) - 1)))
     files = tuple(folder / f"morph_{i:0{digits}d}.ply" for i in range(len(times)))
     done = _done_before(folder, plan, files, overwrite)
-    rows: list[dict[str, Any]] = []
     left = [i for i in range(len(times)) if i not in done]
     frames = morph.sequence([times[i] for i in left])
-    written = {}
+    written: dict[int, dict[str, int]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
         t = times[i]
         kept = _drawn(frame) if prune and 0 < t < 1 else frame
@@ -87,7 +86,7 @@ def export_sequence(
     ]
     _write_json(folder / INDEX, {"source": names[0], "target": names[1], "frames": rows})
     (folder / PLAN).unlink(missing_ok=True)
-    return Exported(folder, files, sum(row["pruned"] for row in rows), len(done))
+    return Exported(folder, files, sum(counts[i]["pruned"] for i in range(len(files))), len(done))
 
 
 def _done_before(

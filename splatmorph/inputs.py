@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from splatmorph import io
-from splatmorph.avatars import is_avatar, load_avatar
+from splatmorph.avatars import Avatar, is_avatar, load_avatar
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
@@ -28,12 +28,14 @@ class Input:
     files: tuple[Path, ...]
     """Every file that was read for it."""
     options: Mapping[str, Any] = field(default_factory=dict)
-    """How an avatar was posed; empty for a plain splat."""
+    """How an avatar was posed, in JSON's types; empty for a plain splat."""
+    avatar: Avatar | None = None
+    """The rig behind the splat, if it has one."""
 
     @property
     def name(self) -> str:
         """A short name for files and titles."""
-        return self.path.name if self.path.is_dir() else self.path.stem
+        return self.avatar.name if self.avatar else self.path.stem
 
     @property
     def sha256(self) -> str:
@@ -56,7 +58,7 @@ def load_splat(path: str | Path, **avatar_options: Any) -> Input:
         return Input(path, io.read(path), None, (path,))
     options = {name: value for name, value in avatar_options.items() if value is not None}
     avatar = load_avatar(path, **options)
-    return Input(path, avatar.gaussians, avatar.landmarks, tuple(avatar.files), options)
+    return Input(path, avatar.gaussians, avatar.landmarks, avatar.files, avatar.options, avatar)
 
 
 def load_input(

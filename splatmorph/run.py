@@ -21,7 +21,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
@@ -41,14 +41,12 @@ STATE = "state.safetensors"
 class Source:
     """An input as a run remembers it."""
 
+    name: str
+    """A short name for files and titles."""
     path: Path
     sha256: str
     options: Mapping[str, Any]
-
-    @property
-    def name(self) -> str:
-        """A short name for files and titles."""
-        return self.path.stem if self.path.suffix else self.path.name
+    """How an avatar was posed; empty for a plain splat."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +75,7 @@ class Run:
 
 def remember(loaded: Input) -> Source:
     """What a run keeps of an input."""
-    return Source(loaded.path.resolve(), loaded.sha256, dict(loaded.options))
+    return Source(loaded.name, loaded.path.resolve(), loaded.sha256, dict(loaded.options))
 
 
 def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path:
@@ -94,7 +92,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         for name, tensor in leg.flow.state_dict().items()
     }
     with atomic_write(folder / WEIGHTS) as partial:
-        save_file(tensors, partial)
+        partial.write_bytes(save(tensors))
     with atomic_write(folder / HISTORY) as partial, partial.open("w", newline="") as stream:
         writer = csv.writer(stream)
         rows = [(i, entry) for i, report in enumerate(reports) for entry in report.history]
@@ -107,6 +105,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         "format": FORMAT,
         "inputs": [
             {
+                "name": source.name,
                 "path": os.path.relpath(source.path, folder.resolve()),
                 "sha256": source.sha256,
                 "options": dict(source.options),
@@ -164,7 +163,12 @@ def open_run(folder: str | Path) -> Run:
             )
         )
         inputs = tuple(
-            Source((folder.resolve() / one["path"]).resolve(), one["sha256"], one["options"])
+            Source(
+                str(one["name"]),
+                (folder.resolve() / one["path"]).resolve(),
+                str(one["sha256"]),
+                dict(one["options"]),
+            )
             for one in manifest["inputs"]
         )
         return Run(inputs, legs, manifest["options"], folder)
@@ -202,7 +206,7 @@ def save_state(folder: Path, state: FitState, asked: str) -> None:
     """Keep an unfinished fit; ``asked`` says what for, so that --resume can tell."""
     with atomic_write(make_folder(folder) / STATE) as partial:
         tensors = {name: tensor.contiguous() for name, tensor in state.tensors.items()}
-        save_file(tensors, partial, metadata={**state.meta, "asked": asked})
+        partial.write_bytes(save(tensors, metadata={**state.meta, "asked": asked}))
 
 
 def load_state(folder: Path, asked: str) -> FitState | None:

@@ -19,7 +19,8 @@ from splatmorph.app.options import (
 )
 from splatmorph.errors import OptionError
 from splatmorph.export import export_sequence
-from splatmorph.run import load_run, open_run
+from splatmorph.inputs import fingerprint
+from splatmorph.run import MANIFEST, WEIGHTS, load_run, open_run
 
 
 def export(
@@ -58,7 +59,7 @@ def export(
             names=(source, target),
             prune=prune,
             overwrite=overwrite,
-            asked=options,
+            asked=options | {"run": fingerprint((run / MANIFEST, run / WEIGHTS))},
             on_frame=lambda done: update(done, len(times), ""),
         )
     if written.resumed:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import torch
 from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Device, Input, Out, Overwrite, Seed, choose_device
+from splatmorph.avatars import pose_warnings
 from splatmorph.errors import LandmarkError, OutputExistsError
 from splatmorph.fit import FitConfig, FitProgress, FitReport, FitState
 from splatmorph.fit import fit as fit_flow
@@ -22,6 +24,24 @@ from splatmorph.landmarks import Landmarks
 from splatmorph.run import MANIFEST, Leg, Run, load_state, remember, save_run, save_state
 
 MOST_DOMAIN_POINTS = 20_000
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Posing:
+    """How avatars are posed; plain splats stay as they are."""
+
+    frame: int | None = None
+    """Pose avatars as in this frame of their tracks; canonical if not given."""
+    pose_from: Literal["source", "target"] | None = None
+    """Take the pose of both from this one's track, so that mouths agree."""
+    landmarks_set: Literal["70", "254", "dense"] = "254"
+    """Which landmarks of the FLAME mesh to use."""
+    flame: Path | None = None
+    """The FLAME model file or its folder; else the variable SPLATMORPH_FLAME."""
+
+
+CANONICAL_POSE = Posing()
 
 
 def fit(
@@ -37,13 +57,14 @@ def fit(
         Path | None, Parameter(help="Default: <target>.landmarks.* beside the target.")
     ] = None,
     flow: Annotated[
-        str, Parameter(help="node, ncf; or a baseline: ifmorph, tps, linear.")
+        str, Parameter(help="node or ncf; or a baseline: ifmorph, tps, linear.")
     ] = "node",
     field: Annotated[str | None, Parameter(help="Of the node flow: spline or siren.")] = None,
     smoothing: Annotated[
         float, Parameter(help="Weight of bending against missed landmarks; 0 meets them.")
     ] = 0.0,
     steps: Annotated[int | None, Parameter(help="Most training steps.")] = None,
+    posing: Posing = CANONICAL_POSE,
     seed: Seed = 0,
     device: Device = "cpu",
     resume: Annotated[
@@ -55,31 +76,41 @@ def fit(
 
     Without -o the run is made in the current folder, as SOURCE-TARGET.run.
     """
-    loaded = [
-        load_input(source, landmarks=source_landmarks),
-        load_input(target, landmarks=target_landmarks),
-    ]
+    loaded = _load_pair((source, target), (source_landmarks, target_landmarks), posing)
     folder = out or Path(f"{loaded[0].name}-{loaded[1].name}.run")
-    options = {
-        "flow": flow,
-        "field": field,
-        "smoothing": smoothing,
-        "steps": steps,
-        "seed": seed,
-    }
-    asked = json.dumps([options, [one.sha256 for one in loaded]])
-    state = _claim_run(folder, asked, resume, overwrite)
-    wanted = {"field": field} if field else {}
-    torch.manual_seed(seed)
-    made = make_flow(flow, dim=3, **wanted).to(choose_device(device))
-    config = FitConfig(seed=seed, steps=steps, smoothing=smoothing)
+    options = {"flow": flow, "field": field, "smoothing": smoothing, "steps": steps, "seed": seed}
     points = [_landmarks_of(one) for one in loaded]
-    report = _fit_one(made, points, _domain(loaded), config, folder, asked, state)
     p, q, names = points[0].match(points[1])
+    asked = json.dumps([options, names, p.tolist(), q.tolist()])
+    state = _claim_run(folder, asked, resume, overwrite)
+    torch.manual_seed(seed)
+    made = make_flow(flow, dim=3, **({"field": field} if field else {})).to(choose_device(device))
+    config = FitConfig(seed=seed, steps=steps, smoothing=smoothing)
+    report = _fit_one(made, points, _domain(loaded), config, folder, asked, state)
     leg = Leg(made.cpu(), p, q, names, report.to_dict())
     run = Run(tuple(remember(one) for one in loaded), (leg,), options)
     save_run(folder, run, [report])
     summarise(folder, loaded, report)
+
+
+def _load_pair(
+    paths: tuple[Path, Path], landmarks: tuple[Path | None, Path | None], posing: Posing
+) -> list[Loaded]:
+    wanted: dict[str, Any] = {
+        "frame": posing.frame,
+        "landmarks_set": posing.landmarks_set,
+        "flame": posing.flame,
+    }
+    if posing.pose_from is not None:
+        wanted["pose"] = paths[0] if posing.pose_from == "source" else paths[1]
+    loaded = [
+        load_input(path, landmarks=given, **wanted)
+        for path, given in zip(paths, landmarks, strict=True)
+    ]
+    if any(one.avatar for one in loaded):
+        for warning in pose_warnings(loaded[0].avatar, loaded[1].avatar):
+            console.warn(warning)
+    return loaded
 
 
 def _claim_run(folder: Path, asked: str, resume: bool, overwrite: bool) -> FitState | None:

@@ -45,7 +45,7 @@ def describe(file: Path) -> dict[str, Any]:
     norms = gaussians.quats.norm(dim=1)
     return {
         "file": str(file),
-        "kind": "avatar" if loaded.options or file.is_dir() else "splat in world space",
+        "kind": f"avatar, shown {loaded.avatar.posed}" if loaded.avatar else "splat in world space",
         "splats": len(gaussians),
         "sh_degree": gaussians.sh_degree,
         "bounds_98_percent": [low, high],

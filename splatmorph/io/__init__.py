@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from splatmorph.errors import OptionError, ReadError
@@ -50,7 +50,7 @@ def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) 
     WRITERS[path.suffix.lower()](path, gaussians, comments)
 
 
-def _known(registry: dict[str, Callable[..., object]]) -> str:
+def _known(registry: Mapping[str, object]) -> str:
     return ", ".join(sorted(registry))
 
 

@@ -1,0 +1,259 @@
+"""The command line as a user meets it: files in, files out, one line where something is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from splatmorph import io
+from splatmorph.app import console, run
+from splatmorph.gaussians import Gaussians
+from splatmorph.landmarks import Landmarks
+
+MakeGaussians = Callable[..., Gaussians]
+Run = Callable[..., tuple[int, str, str]]
+
+
+def bend(points: torch.Tensor) -> torch.Tensor:
+    x, y, z = points.unbind(-1)
+    return torch.stack([1.2 * x + 0.1 * y**2, y + 0.2 * x, 0.9 * z + 0.1 * x * y], -1)
+
+
+@pytest.fixture
+def cli(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
+    """``cli("fit", a, b)`` → exit code, stdout, stderr."""
+
+    def call(*words: object) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = run([str(word) for word in words])
+        return (code, *capsys.readouterr())
+
+    yield call
+    console.manner.quiet = console.manner.verbose = False
+
+
+@pytest.fixture
+def pair(
+    tmp_path: Path, make_gaussians: MakeGaussians, monkeypatch: pytest.MonkeyPatch
+) -> tuple[Path, Path]:
+    """Two splats with landmarks beside them, in the current folder."""
+    monkeypatch.chdir(tmp_path)
+    a = make_gaussians(200, 1)
+    b = make_gaussians(150, 0, seed=1)
+    b = replace(b, means=bend(b.means))
+    points = torch.rand(20, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
+    for name, splats, marks in (("a", a, points), ("b", b, bend(points))):
+        io.write(f"{name}.ply", splats)
+        Landmarks(marks, tuple(f"p{i}" for i in range(20))).write(f"{name}.landmarks.json")
+    return Path("a.ply"), Path("b.ply")
+
+
+@pytest.fixture
+def fitted(pair: tuple[Path, Path], cli: Run) -> Path:
+    assert cli("fit", *pair)[0] == 0
+    return Path("a-b.run")
+
+
+def failed(result: tuple[int, str, str], *words: str, code: int = 1) -> None:
+    got, _, err = result
+    assert got == code, result
+    assert "Traceback" not in err
+    if code == 1:
+        assert err.count("\n") == 1, err
+        assert err.startswith("error: ")
+    for word in words:
+        assert word in err.replace("\n", " "), err
+
+
+# The main job -------------------------------------------------------------------------------
+
+
+def test_fit_says_what_was_met_and_what_to_type_next(pair: tuple[Path, Path], cli: Run) -> None:
+    code, out, _ = cli("fit", *pair)
+    assert code == 0
+    for words in ("20 landmarks", "before", "after", "flow laws", "wrote a-b.run"):
+        assert words in out
+    # The commands that it prints work as they stand.
+    (line,) = (line for line in out.splitlines() if "splatmorph export" in line)
+    command = line.split("   ")[0].split()[1:]
+    assert cli(*command)[0] == 0
+    report = json.loads(Path("a-b.run/report.json").read_text())["legs"][0]
+    assert report["mse"] < 1e-6 < report["mse_before"]
+
+
+def test_exported_ends_are_the_inputs_bit_for_bit(fitted: Path, cli: Run) -> None:
+    assert cli("export", fitted, "--frames", 3, "-o", "out")[0] == 0
+    for name, source in (("morph_0000.ply", "a.ply"), ("morph_0002.ply", "b.ply")):
+        frame, original = io.read(f"out/{name}"), io.read(source)
+        for field in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+            assert torch.equal(getattr(frame, field), getattr(original, field))
+    index = json.loads(Path("out/frames.json").read_text())
+    assert [frame["t"] for frame in index["frames"]] == [0, 0.5, 1]
+    assert index["source"] == "a"
+    assert "splatmorph t=0.5 source=a target=b" in Path("out/morph_0001.ply").read_bytes()[
+        :300
+    ].decode("latin1")
+    assert sorted(p.name for p in Path("out").iterdir()) == [
+        "frames.json",
+        "morph_0000.ply",
+        "morph_0001.ply",
+        "morph_0002.ply",
+    ]
+
+
+def test_invisible_splats_are_pruned_between_the_ends_only(fitted: Path, cli: Run) -> None:
+    out = cli("export", fitted, "--t", "0,0.5,1", "-o", "out")[1]
+    rows = json.loads(Path("out/frames.json").read_text())["frames"]
+    assert rows[0]["pruned"] == rows[2]["pruned"] == 0 < rows[1]["pruned"]
+    assert f"left out {rows[1]['pruned']}" in out
+    cli("export", fitted, "--t", "0.5", "-o", "all", "--no-prune")
+    assert len(io.read("all/morph_0000.ply")) == 350
+
+
+def test_render_makes_a_video_and_pictures(fitted: Path, cli: Run) -> None:
+    small = ("--size", "48x32", "--frames", 4)
+    assert cli("render", fitted, *small)[0] == 0
+    assert Path("a-b.mp4").stat().st_size > 500
+    assert cli("render", fitted, *small, "--t", "0.5", "-o", "x.gif")[0] == 0
+    with Image.open("x.gif") as picture:
+        assert picture.size == (48, 32)
+        assert picture.n_frames == 4
+    assert cli("render", fitted, "--size", "40x40", "--t", "0", "-o", "x.png")[0] == 0
+    assert cli("render", "a.ply", "--size", "40x40", "-o", "y.png")[0] == 0
+    x, y = (np.asarray(Image.open(name)).astype(int) for name in ("x.png", "y.png"))
+    assert x.shape == y.shape == (40, 40, 3)
+    assert x.std() > 10
+    transparent = ("--background", "transparent", "-o", "z.png")
+    assert cli("render", "a.ply", "--size", "40x40", *transparent)[0] == 0
+    assert np.asarray(Image.open("z.png")).shape == (40, 40, 4)
+
+
+def test_inspect_describes_for_people_and_machines(pair: tuple[Path, Path], cli: Run) -> None:
+    code, out, _ = cli("inspect", *pair)
+    assert code == 0
+    assert "200" in out
+    assert "20, named" in out
+    described = json.loads(cli("inspect", "a.ply", "--json")[1])["files"][0]
+    assert described["splats"] == 200
+    assert described["sh_degree"] == 1
+    Path("bad.ply").write_text("nothing")
+    failed(cli("inspect", "bad.ply", "-q"), "bad.ply")
+
+
+# Outputs that are there ---------------------------------------------------------------------
+
+
+def test_nothing_is_overwritten_unasked(fitted: Path, cli: Run) -> None:
+    before = Path("a-b.run/flow.safetensors").read_bytes()
+    failed(cli("fit", "a.ply", "b.ply"), "a-b.run is a finished run", "-w")
+    assert Path("a-b.run/flow.safetensors").read_bytes() == before
+    assert cli("fit", "a.ply", "b.ply", "-w")[0] == 0
+    Path("x.png").write_text("mine")
+    failed(cli("render", fitted, "-o", "x.png"), "x.png is already there", "-w")
+    assert Path("x.png").read_text() == "mine"
+    assert cli("export", fitted, "--frames", 3, "-o", "out")[0] == 0
+    failed(cli("export", fitted, "--frames", 2, "-o", "out"), "holds frames already", "-w")
+    assert cli("export", fitted, "--frames", 2, "-o", "out", "-w")[0] == 0
+    assert len(list(Path("out").glob("*.ply"))) == 2
+    Path("folder").mkdir()
+    Path("folder/mine.txt").touch()
+    failed(cli("fit", "a.ply", "b.ply", "-o", "folder"), "folder is there already")
+
+
+def test_an_export_that_was_killed_goes_on(
+    fitted: Path, cli: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cli("export", fitted, "--frames", 6, "-o", "whole")
+    genuine, written = io.write, []
+
+    def killed(path: Path, *rest: object) -> None:
+        if len(written) == 3:
+            raise KeyboardInterrupt
+        written.append(path)
+        genuine(path, *rest)
+
+    monkeypatch.setattr(io, "write", killed)
+    assert cli("export", fitted, "--frames", 6, "-o", "out")[0] == 130
+    assert not Path("out/frames.json").exists()
+    monkeypatch.setattr(io, "write", genuine)
+    code, out, _ = cli("export", fitted, "--frames", 6, "-o", "out")
+    assert code == 0
+    assert "3 frames were there" in out
+    for file in Path("whole").iterdir():
+        assert file.read_bytes() == (Path("out") / file.name).read_bytes()
+    # Another export doesn't mix its frames with those of an unfinished one.
+    monkeypatch.setattr(io, "write", killed)
+    written.clear()
+    cli("export", fitted, "--frames", 6, "-o", "out2")
+    monkeypatch.setattr(io, "write", genuine)
+    failed(cli("export", fitted, "--frames", 5, "-o", "out2"), "holds frames already")
+
+
+# Bad input ----------------------------------------------------------------------------------
+
+
+def test_usage_errors_exit_with_2(pair: tuple[Path, Path], cli: Run) -> None:
+    failed(cli("fit", "a.ply"), code=2)
+    failed(cli("nonsense"), code=2)
+    failed(cli("render", "a.ply", "--size", "big"), "WIDTHxHEIGHT", code=2)
+    failed(cli("render", "a.ply", "--background", "sky"), "no colour", code=2)
+    failed(cli("export", "a.ply", "--t", "soon"), "no time", code=2)
+    assert cli("--help")[0] == cli("--version")[0] == 0
+
+
+def test_data_errors_are_one_line(pair: tuple[Path, Path], cli: Run) -> None:
+    failed(cli("fit", "a.ply", "none.ply"), "none.ply does not exist")
+    failed(cli("render", "a-b.run"), "a-b.run does not exist")
+    failed(cli("export", "."), "no complete run")
+    failed(cli("fit", "a.ply", "b.ply", "--flow", "magic"), "magic")
+    failed(cli("render", "a.ply", "--frames", 0), "0 frames")
+    failed(cli("render", "a.ply", "--up", "w"), "up")
+    failed(cli("render", "a.ply", "-o", "no/x.png"), "no")
+    Path("b.landmarks.json").unlink()
+    failed(cli("fit", "a.ply", "b.ply"), "no landmarks", "b.landmarks.json", "nose")
+    Landmarks(torch.rand(5, 3), tuple("vwxyz")).write("b.landmarks.json")
+    failed(cli("fit", "a.ply", "b.ply"), "0 matched landmark pairs")
+    Landmarks(1000 * torch.rand(5, 3), tuple("vwxyz")).write("b.landmarks.json")
+    failed(cli("fit", "a.ply", "b.ply"), "far outside the splat b.ply")
+    assert not list(Path().glob("*.run"))
+
+
+def test_quiet_prints_errors_only(pair: tuple[Path, Path], cli: Run) -> None:
+    assert cli("fit", *pair, "-q") == (0, "", "")
+    failed(cli("fit", *pair, "-q"), "finished run")
+
+
+def test_verbose_adds_the_traceback(pair: tuple[Path, Path], cli: Run) -> None:
+    assert "Traceback" in cli("fit", "a.ply", "none.ply", "--verbose")[2]
+
+
+# What is loaded -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "statement",
+    ["import splatmorph", "from splatmorph.app import run; run(['--help'])"],
+)
+def test_heavy_packages_wait_until_they_are_needed(statement: str) -> None:
+    heavy = ("torch", "warp", "pyvista", "vtk", "matplotlib", "cv2", "viser", "plyfile")
+    code = f"import sys\n{statement}\nassert not set(sys.modules) & set({heavy}), sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_the_library_offers_what_it_says() -> None:
+    import splatmorph as sm
+
+    for name in sm.__all__:
+        assert getattr(sm, name) is not None
+    assert callable(sm.fit)
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = sm.nothing
