@@ -10,10 +10,10 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from splatmorph import quaternions
 from splatmorph.covariance import polar_rotation, rotation_matrices, stretched_axes
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.quaternions import from_matrices, product
 from splatmorph.sh import rotate_sh
 
 BLOCK = 1 << 12
@@ -90,13 +90,13 @@ def _carry(
         for k in sorted(ahead, key=lambda k: abs(times[k])):
             jacobian = jacobians[k, block].double().permute(1, 2, 0).contiguous()
             rotation = polar_rotation(jacobian)
-            turned = quaternions.from_matrices(rotation.permute(2, 0, 1))
+            turned = from_matrices(rotation.permute(2, 0, 1))
             turn = turned * torch.where((turned * turn).sum(-1, keepdim=True) < 0, -1, 1)
             if stretch:
                 stretching = (rotation[:, :, None] * jacobian[:, None]).sum(0)
                 axes, pushed = stretched_axes(stretching, quats.T, log_scales, axes.T)
                 axes, shapes.log_scales[k, block] = axes.T, pushed.T
-            shapes.quats[k, block] = quaternions.product(turn, axes).to(shapes.quats)
+            shapes.quats[k, block] = product(turn, axes).to(shapes.quats)
             shapes.turns[k, block] = turn.to(shapes.turns)
 
 
