@@ -59,18 +59,15 @@ def read_flame(path: Path) -> FlameArrays:
             "model file (flame2023.pkl), not its masks or textures"
         )
     _require_flame(path, stored)
-    shapes = (VERTICES, 3, SHAPES + EXPRESSIONS)
-    directions = _floats(path, stored, "shapedirs", shapes)
-    return FlameArrays(
-        template=_floats(path, stored, "v_template", (VERTICES, 3)),
-        shapes=directions[:, :, :SHAPES],
-        expressions=directions[:, :, SHAPES:],
-        poses=_floats(path, stored, "posedirs", (VERTICES, 3, ROTATION_FEATURES)),
-        regressor=_floats(path, stored, "J_regressor", (JOINTS, VERTICES)),
-        parents=_parents(path, _array(path, stored, "kintree_table")),
-        weights=_floats(path, stored, "weights", (VERTICES, JOINTS)),
-        faces=_faces(path, _array(path, stored, "f")),
-    )
+    template = _floats(path, stored, "v_template", (VERTICES, 3))
+    poses = _floats(path, stored, "posedirs", (VERTICES, 3, ROTATION_FEATURES))
+    regressor = _floats(path, stored, "J_regressor", (JOINTS, VERTICES))
+    parents = _parents(path, _array(path, stored, "kintree_table"))
+    weights = _floats(path, stored, "weights", (VERTICES, JOINTS))
+    faces = _faces(path, _array(path, stored, "f"))
+    blends = _floats(path, stored, "shapedirs", (VERTICES, 3, SHAPES + EXPRESSIONS))
+    shapes, expressions = blends[:, :, :SHAPES], blends[:, :, SHAPES:]
+    return FlameArrays(template, shapes, expressions, poses, regressor, parents, weights, faces)
 
 
 def _require_flame(path: Path, stored: Mapping[Any, Any]) -> None:

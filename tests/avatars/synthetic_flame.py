@@ -58,7 +58,12 @@ def write_new(path: Path, **changes: Any) -> Path:
     """As the FLAME 2023 file: numpy arrays and a scipy matrix."""
     stored = model() | {"J_regressor": scipy.sparse.csc_matrix(model()["J_regressor"])} | changes
     stored = {key: value for key, value in stored.items() if value is not None}
-    path.write_bytes(pickle.dumps(stored, protocol=2 if len(stored) < 3 else 4))
+    return write_plain(path, stored)
+
+
+def write_plain(path: Path, value: object) -> Path:
+    """Any value, pickled."""
+    path.write_bytes(pickle.dumps(value, protocol=4))
     return path
 
 
