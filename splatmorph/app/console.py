@@ -79,7 +79,9 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.fields[note]}"),
     ]
-    with Progress(*columns, console=err, transient=True, disable=manner.quiet) as bar:
+    # Where no one watches, a bar would only leave blank lines in a log.
+    hidden = manner.quiet or not err.is_terminal
+    with Progress(*columns, console=err, transient=True, disable=hidden) as bar:
         task = bar.add_task(what, total=None, note="")
 
         def update(done: int, total: int, note: str = "") -> None:
