@@ -198,10 +198,10 @@ def camera_path(keys: Sequence[Camera], count: int) -> list[Camera]:
     intrinsics = spline(np.array([key.K for key in keys]))
     cameras = []
     for R, position, K in zip(rotations.as_matrix(), positions, intrinsics, strict=True):
-        viewmat = np.eye(4)
+        viewmat: Array = np.eye(4)
         viewmat[:3, :3] = R
         viewmat[:3, 3] = -R @ position
-        cameras.append(Camera(viewmat, K, keys[0].width, keys[0].height))
+        cameras.append(Camera(viewmat, np.asarray(K), keys[0].width, keys[0].height))
     return cameras
 
 

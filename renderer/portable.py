@@ -1,4 +1,4 @@
-"""The rasterizer in Warp's own language: one source for CUDA and for any CPU.
+"""The rasterizer in Warp's own language, for CUDA and for any CPU.
 
 Splats are projected, sorted by depth, listed for each tile they touch in that order, and
 blended by one thread a pixel. Where the lists would outgrow ``LIST_BUDGET`` the picture is
@@ -14,23 +14,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from renderer import reference
+from renderer import kernels, reference
 
 Array = NDArray[Any]
-
-wp.config.quiet = True  # a library prints nothing
-wp.set_module_options({"enable_backward": False})
-
-TILE = wp.constant(16)
-BLUR = wp.constant(reference.BLUR)
-ALPHA_MAX = wp.constant(reference.ALPHA_MAX)
-LOG_ALPHA_MIN = wp.constant(float(np.log(reference.ALPHA_MIN)))
-TRANSMITTANCE_MIN = wp.constant(reference.TRANSMITTANCE_MIN)
-HIDDEN = wp.constant(0x7FFFFFFF)
-"""The depth key of a splat that is not drawn: after every other."""
-LIST_BUDGET = 1 << 25
-"""Entries of the tile lists at a time: 16 bytes each with the sort's scratch."""
-
 
 SCENE_TYPES = {
     "means": wp.vec3,
@@ -46,259 +32,18 @@ SPLAT_TYPES = {
     "log_opacity": float,
     "color": wp.vec4,
 }
+LIST_BUDGET = 1 << 25
+"""Entries of the tile lists at a time: 16 bytes each with the sort's scratch."""
 
 
-@wp.struct
-class View:
-    """A camera as the kernels want it."""
-
-    viewmat: wp.mat44
-    position: wp.vec3
-    focal: wp.vec2
-    principal: wp.vec2
-    slope_min: wp.vec2
-    slope_max: wp.vec2
-    near: float
-    far: float
-    width: int
-    height: int
-    columns: int
-    rows: int
-
-
-@wp.struct
-class Splats:
-    """Projected splats, in pixels; indexed as the input."""
-
-    center: wp.array(dtype=wp.vec2)
-    conic: wp.array(dtype=wp.vec3)
-    extent: wp.array(dtype=wp.vec2)
-    log_opacity: wp.array(dtype=float)
-    color: wp.array(dtype=wp.vec4)  # rgb and depth
-
-
-@wp.func
-def sh_color(sh: wp.array2d(dtype=wp.vec3), i: int, degree: int, d: wp.vec3) -> wp.vec3:
-    """Colour of splat i seen along d; the polynomials of ``reference.sh_basis``."""
-    x, y, z = d[0], d[1], d[2]
-    xx, yy, zz = x * x, y * y, z * z
-    c = 0.28209479177387814 * sh[i, 0]
-    if degree > 0:
-        c += 0.4886025119029199 * (z * sh[i, 2] - y * sh[i, 1] - x * sh[i, 3])
-    if degree > 1:
-        c += 1.0925484305920792 * (x * y * sh[i, 4] - y * z * sh[i, 5] - x * z * sh[i, 7])
-        c += 0.31539156525252005 * (2.0 * zz - xx - yy) * sh[i, 6]
-        c += 0.5462742152960396 * (xx - yy) * sh[i, 8]
-    if degree > 2:
-        c -= 0.5900435899266435 * y * (3.0 * xx - yy) * sh[i, 9]
-        c += 2.890611442640554 * x * y * z * sh[i, 10]
-        c -= 0.4570457994644658 * y * (4.0 * zz - xx - yy) * sh[i, 11]
-        c += 0.3731763325901154 * z * (2.0 * zz - 3.0 * xx - 3.0 * yy) * sh[i, 12]
-        c -= 0.4570457994644658 * x * (4.0 * zz - xx - yy) * sh[i, 13]
-        c += 1.445305721320277 * z * (xx - yy) * sh[i, 14]
-        c -= 0.5900435899266435 * x * (xx - 3.0 * yy) * sh[i, 15]
-    if degree > 3:
-        c += 2.5033429417967046 * x * y * (xx - yy) * sh[i, 16]
-        c -= 1.7701307697799304 * y * z * (3.0 * xx - yy) * sh[i, 17]
-        c += 0.9461746957575601 * x * y * (7.0 * zz - 1.0) * sh[i, 18]
-        c -= 0.6690465435572892 * y * z * (7.0 * zz - 3.0) * sh[i, 19]
-        c += 0.10578554691520431 * (zz * (35.0 * zz - 30.0) + 3.0) * sh[i, 20]
-        c -= 0.6690465435572892 * x * z * (7.0 * zz - 3.0) * sh[i, 21]
-        c += 0.47308734787878004 * (xx - yy) * (7.0 * zz - 1.0) * sh[i, 22]
-        c -= 1.7701307697799304 * x * z * (xx - 3.0 * yy) * sh[i, 23]
-        c += 0.6258357354491761 * (xx * (xx - 3.0 * yy) - yy * (3.0 * xx - yy)) * sh[i, 24]
-    return wp.max(c + wp.vec3(0.5), wp.vec3(0.0))
-
-
-@wp.kernel
-def project(
-    means: wp.array(dtype=wp.vec3),
-    quats: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    opacities: wp.array(dtype=float),
-    sh: wp.array2d(dtype=wp.vec3),
-    degree: int,
-    view: View,
-    splats: Splats,
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-):
-    i = wp.tid()
-    order[i] = i
-    keys[i] = HIDDEN
-    p = wp.transform_point(view.viewmat, means[i])
-    log_opacity = wp.log(opacities[i])
-    reach = 2.0 * (log_opacity - LOG_ALPHA_MIN)
-    q = wp.normalize(quats[i])
-    drawn = p[2] > view.near and p[2] < view.far and reach >= 0.0 and wp.isfinite(reach)
-    if not (drawn and wp.length_sq(q) > 0.5):
-        return
-
-    slope = wp.vec2(p[0] / p[2], p[1] / p[2])
-    clamped = wp.min(wp.max(slope, view.slope_min), view.slope_max)
-    V = view.viewmat
-    depth_axis = wp.vec3(V[2, 0], V[2, 1], V[2, 2])
-    row_x = (wp.vec3(V[0, 0], V[0, 1], V[0, 2]) - clamped[0] * depth_axis) * (view.focal[0] / p[2])
-    row_y = (wp.vec3(V[1, 0], V[1, 1], V[1, 2]) - clamped[1] * depth_axis) * (view.focal[1] / p[2])
-    rotation = wp.transpose(wp.quat_to_matrix(wp.quat(q[1], q[2], q[3], q[0])))
-    s = scales[i]
-    u = wp.cw_mul(rotation * row_x, s)
-    v = wp.cw_mul(rotation * row_y, s)
-    xx = wp.dot(u, u) + BLUR
-    xy = wp.dot(u, v)
-    yy = wp.dot(v, v) + BLUR
-    # |u×v|² keeps the determinant of a needle, where xx·yy - xy² would cancel.
-    det = wp.length_sq(wp.cross(u, v)) + BLUR * (xx + yy - BLUR)
-    center = wp.cw_mul(slope, view.focal) + view.principal
-    extent = wp.vec2(wp.sqrt(reach * xx), wp.sqrt(reach * yy))
-    low = center - extent
-    high = center + extent
-    # NaN and infinity fail these comparisons too.
-    inside = high[0] > 0.0 and high[1] > 0.0 and det > 0.0 and det < 1.0e30
-    if not (inside and low[0] < float(view.width) and low[1] < float(view.height)):
-        return
-    splats.center[i] = center
-    splats.conic[i] = wp.vec3(yy / det, -xy / det, xx / det)
-    splats.extent[i] = extent
-    splats.log_opacity[i] = log_opacity
-    rgb = sh_color(sh, i, degree, wp.normalize(means[i] - view.position))
-    splats.color[i] = wp.vec4(rgb[0], rgb[1], rgb[2], p[2])
-    keys[i] = wp.cast(p[2], int)
-
-
-@wp.func
-def tile_box(splats: Splats, view: View, i: int) -> wp.vec4i:
-    """First column, first row, last column, last row of the tiles whose pixels it can reach."""
-    low = splats.center[i] - splats.extent[i]
-    high = splats.center[i] + splats.extent[i]
-    size = float(TILE)
-    return wp.vec4i(
-        int(wp.clamp(wp.floor(low[0] / size), 0.0, float(view.columns - 1))),
-        int(wp.clamp(wp.floor(low[1] / size), 0.0, float(view.rows - 1))),
-        int(wp.clamp(wp.floor(high[0] / size), 0.0, float(view.columns - 1))),
-        int(wp.clamp(wp.floor(high[1] / size), 0.0, float(view.rows - 1))),
-    )
-
-
-@wp.kernel
-def count_tiles(
-    keys: wp.array(dtype=int),
-    order: wp.array(dtype=int),
-    view: View,
-    splats: Splats,
-    counts: wp.array(dtype=wp.int64),
-):
-    rank = wp.tid()
-    counts[rank] = wp.int64(0)
-    if keys[rank] != HIDDEN:
-        box = tile_box(splats, view, order[rank])
-        counts[rank] = wp.int64((box[2] - box[0] + 1) * (box[3] - box[1] + 1))
-
-
-@wp.kernel
-def list_tiles(
-    first: int,
-    order: wp.array(dtype=int),
-    ends: wp.array(dtype=wp.int64),
-    view: View,
-    splats: Splats,
-    tiles: wp.array(dtype=int),
-    ids: wp.array(dtype=int),
-):
-    rank = first + wp.tid()
-    done = wp.int64(0)
-    before = wp.int64(0)
-    if first > 0:
-        done = ends[first - 1]
-    if rank > 0:
-        before = ends[rank - 1]
-    if ends[rank] == before:
-        return
-    at = int(before - done)
-    i = order[rank]
-    box = tile_box(splats, view, i)
-    for row in range(box[1], box[3] + 1):
-        for column in range(box[0], box[2] + 1):
-            tiles[at] = row * view.columns + column
-            ids[at] = i
-            at += 1
-
-
-@wp.kernel
-def find_ranges(
-    count: int,
-    tiles: wp.array(dtype=int),
-    starts: wp.array(dtype=int),
-    stops: wp.array(dtype=int),
-):
-    at = wp.tid()
-    tile = tiles[at]
-    if at == 0 or tiles[at - 1] != tile:
-        starts[tile] = at
-    if at == count - 1 or tiles[at + 1] != tile:
-        stops[tile] = at + 1
-
-
-@wp.kernel
-def blend(
-    view: View,
-    splats: Splats,
-    starts: wp.array(dtype=int),
-    stops: wp.array(dtype=int),
-    ids: wp.array(dtype=int),
-    sums: wp.array2d(dtype=wp.vec4),
-    transmittance: wp.array2d(dtype=float),
-):
-    y, x = wp.tid()
-    T = transmittance[y, x]
-    if T < 0.0:
-        return
-    tile = (y // TILE) * view.columns + x // TILE
-    pixel = wp.vec2(float(x) + 0.5, float(y) + 0.5)
-    sum = sums[y, x]
-    for at in range(starts[tile], stops[tile]):
-        i = ids[at]
-        d = pixel - splats.center[i]
-        conic = splats.conic[i]
-        falloff = 0.5 * (conic[0] * d[0] * d[0] + conic[2] * d[1] * d[1]) + conic[1] * d[0] * d[1]
-        power = splats.log_opacity[i] - falloff
-        if power >= LOG_ALPHA_MIN:
-            alpha = wp.min(wp.exp(power), ALPHA_MAX)
-            remaining = T * (1.0 - alpha)
-            if remaining < TRANSMITTANCE_MIN:
-                T = -T  # the pixel is finished; the sign says so to the next slab
-                break
-            sum += (T * alpha) * splats.color[i]
-            T = remaining
-    sums[y, x] = sum
-    transmittance[y, x] = T
-
-
-@wp.kernel
-def finish(
-    sums: wp.array2d(dtype=wp.vec4),
-    transmittance: wp.array2d(dtype=float),
-    background: wp.vec3,
-    rgb: wp.array2d(dtype=wp.vec3),
-    alpha: wp.array2d(dtype=float),
-    depth: wp.array2d(dtype=float),
-):
-    y, x = wp.tid()
-    T = wp.abs(transmittance[y, x])
-    sum = sums[y, x]
-    rgb[y, x] = wp.vec3(sum[0], sum[1], sum[2]) + T * background
-    alpha[y, x] = 1.0 - T
-    depth[y, x] = 0.0
-    if T < 1.0:
-        depth[y, x] = sum[3] / (1.0 - T)
-
-
-def view_of(viewmat: Array, K: Array, size: tuple[int, int], depths: tuple[float, float]) -> View:
+def view_of(
+    viewmat: Array, K: Array, size: tuple[int, int], depths: tuple[float, float]
+) -> kernels.View:
     """The kernels' view of a camera; ``depths`` are near and far."""
     width, height = size
     focal, principal = np.diag(K)[:2], K[:2, 2]
     margin = reference.FOV_MARGIN * np.array(size) / (2 * focal)
-    view = View()
+    view = kernels.View()
     view.viewmat = wp.mat44(*viewmat.ravel().tolist())
     view.position = wp.vec3(*(-np.linalg.inv(viewmat[:3, :3]) @ viewmat[:3, 3]).tolist())
     view.focal = wp.vec2(*focal.tolist())
@@ -307,19 +52,19 @@ def view_of(viewmat: Array, K: Array, size: tuple[int, int], depths: tuple[float
     view.slope_max = wp.vec2(*((np.array(size) - principal) / focal + margin).tolist())
     view.near, view.far = depths
     view.width, view.height = size
-    view.columns, view.rows = -(-width // TILE), -(-height // TILE)
+    view.columns, view.rows = -(-width // kernels.TILE), -(-height // kernels.TILE)
     return view
 
 
 def render(
     scene: Mapping[str, Array],
     degree: int,
-    views: Sequence[View],
+    views: Sequence[kernels.View],
     background: Array,
     device: str,
 ) -> tuple[Array, Array, Array]:
     """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size."""
-    arrays = [
+    arrays: list[wp.array] = [
         wp.array(scene[name], dtype=dtype, copy=False, device=device)
         for name, dtype in SCENE_TYPES.items()
     ]
@@ -330,12 +75,12 @@ def render(
     for i, view in enumerate(views):
         sums, transmittance = _blended(arrays, degree, view, device)
         inputs = [sums, transmittance, wp.vec3(*background.tolist()), rgb[i], alpha[i], depth[i]]
-        wp.launch(finish, shape[1:], inputs, device=device)
+        wp.launch(kernels.finish, shape[1:], inputs, device=device)
     return rgb.numpy(), alpha.numpy(), depth.numpy()
 
 
 def _blended(
-    arrays: Sequence[wp.array], degree: int, view: View, device: str
+    arrays: Sequence[wp.array], degree: int, view: kernels.View, device: str
 ) -> tuple[wp.array, wp.array]:
     n = len(arrays[0])
     shape = (view.height, view.width)
@@ -343,21 +88,21 @@ def _blended(
     transmittance = wp.ones(shape, dtype=float, device=device)
     if not n:
         return sums, transmittance
-    splats = Splats()
+    splats = kernels.Splats()
     for name, dtype in SPLAT_TYPES.items():
         setattr(splats, name, wp.empty(n, dtype=dtype, device=device))
     # Twice the length: the second half is the sort's scratch.
     keys = wp.empty(2 * n, dtype=int, device=device)
     order = wp.empty(2 * n, dtype=int, device=device)
     ends = wp.empty(n, dtype=wp.int64, device=device)
-    wp.launch(project, n, [*arrays, degree, view, splats, keys, order], device=device)
+    wp.launch(kernels.project, n, [*arrays, degree, view, splats, keys, order], device=device)
     wp.utils.radix_sort_pairs(keys, order, n)
-    wp.launch(count_tiles, n, [keys, order, view, splats, ends], device=device)
+    wp.launch(kernels.count_tiles, n, [keys, order, view, splats, ends], device=device)
     wp.utils.array_scan(ends, ends, inclusive=True)
     for slab in _slabs(ends):
         ids, starts, stops = _tile_lists(slab, order, ends, view, splats)
         inputs = [view, splats, starts, stops, ids, sums, transmittance]
-        wp.launch(blend, shape, inputs, device=device)
+        wp.launch(kernels.blend, shape, inputs, device=device)
     return sums, transmittance
 
 
@@ -377,7 +122,11 @@ def _slabs(ends: wp.array) -> list[tuple[int, int, int]]:
 
 
 def _tile_lists(
-    slab: tuple[int, int, int], order: wp.array, ends: wp.array, view: View, splats: Splats
+    slab: tuple[int, int, int],
+    order: wp.array,
+    ends: wp.array,
+    view: kernels.View,
+    splats: kernels.Splats,
 ) -> tuple[wp.array, wp.array, wp.array]:
     """Splats by tile, each tile front to back: ids, and where each tile starts and stops."""
     first, last, count = slab
@@ -386,7 +135,7 @@ def _tile_lists(
     tiles = wp.empty(2 * count, dtype=int, device=device)
     ids = wp.empty(2 * count, dtype=int, device=device)
     wp.launch(
-        list_tiles,
+        kernels.list_tiles,
         last - first,
         [first, order, ends, view, splats, tiles, ids],
         device=device,
@@ -394,5 +143,5 @@ def _tile_lists(
     wp.utils.radix_sort_pairs(tiles, ids, count, end_bit=max(1, tile_count.bit_length()))
     starts = wp.zeros(tile_count, dtype=int, device=device)
     stops = wp.zeros(tile_count, dtype=int, device=device)
-    wp.launch(find_ranges, count, [count, tiles, starts, stops], device=device)
+    wp.launch(kernels.find_ranges, count, [count, tiles, starts, stops], device=device)
     return ids, starts, stops

@@ -79,18 +79,22 @@ def rasterize(
     size, depths = (int(width), int(height)), (float(near), float(far))
     views = [portable.view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
     pictures = portable.render(scene, degree, views, behind, device)
-    if np.ndim(viewmat) == 2 and np.ndim(K) == 2:
-        pictures = tuple(picture[0] for picture in pictures)
-    if _is_torch(means):
-        import torch
-
-        pictures = tuple(torch.from_numpy(picture) for picture in pictures)
-    return pictures
+    single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
+    rgb, alpha, depth = (_like(means, picture[0] if single else picture) for picture in pictures)
+    return rgb, alpha, depth
 
 
 def _is_torch(array: object) -> bool:
     torch = sys.modules.get("torch")
     return torch is not None and isinstance(array, torch.Tensor)
+
+
+def _like(model: object, picture: NDArray[np.float32]) -> Any:
+    if not _is_torch(model):
+        return picture
+    import torch
+
+    return torch.from_numpy(picture)
 
 
 def _as_numpy(name: str, array: Any, dtype: type) -> NDArray[Any]:

@@ -136,35 +136,24 @@ def rasterize_reference(
 
     Returns rgb (height, width, 3), alpha (height, width), depth (height, width).
     """
-    means, quats, scales, opacities, sh, viewmat, K = (
-        np.asarray(a, np.float64) for a in (means, quats, scales, opacities, sh, viewmat, K)
-    )
-    depth_of_mean = means @ viewmat[2, :3] + viewmat[2, 3]
-    finite = np.isfinite(np.concatenate([means, quats, scales, opacities[:, None]], 1)).all(1)
-    drawn = finite & (depth_of_mean > near) & (depth_of_mean < far) & (opacities >= ALPHA_MIN)
-    drawn &= np.linalg.norm(quats, axis=1) > 0
-    means, quats, scales, opacities, sh = (a[drawn] for a in (means, quats, scales, opacities, sh))
-    splats = project(means, quats, scales, viewmat, K, width, height)
-    degree = math.isqrt(sh.shape[1]) - 1 if sh_degree is None else sh_degree
-    rays = means + np.linalg.inv(viewmat[:3, :3]) @ viewmat[:3, 3]
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    basis = sh_basis(rays, degree)
-    colors = np.fmax(np.einsum("nk,nkc->nc", basis, sh[:, : basis.shape[1]]) + 0.5, 0)
+    arrays = [np.asarray(a, np.float64) for a in (means, quats, scales, opacities, sh)]
+    camera = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
+    splats, alphas, colors = _visible(arrays, *camera, width, height, (near, far), sh_degree)
 
     pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
     rgb = np.zeros((height, width, 3))
     depth = np.zeros((height, width))
     transmittance = np.ones((height, width))
-    open_ = np.ones((height, width), bool)
+    unfinished = np.ones((height, width), bool)
     for i in np.argsort(splats.depths, kind="stable"):
         offset = pixels - splats.centers[i]
         conic = np.linalg.inv(splats.covariances[i])
         falloff = np.exp(-0.5 * np.einsum("...i,ij,...j", offset, conic, offset))
-        alpha = np.minimum(opacities[i] * falloff, ALPHA_MAX)
-        hit = open_ & (alpha >= ALPHA_MIN)
+        alpha = np.minimum(alphas[i] * falloff, ALPHA_MAX)
+        hit = unfinished & (alpha >= ALPHA_MIN)
         remaining = transmittance * (1 - alpha)
-        open_ &= ~(hit & (remaining < TRANSMITTANCE_MIN))
-        hit &= open_
+        unfinished &= ~(hit & (remaining < TRANSMITTANCE_MIN))
+        hit &= unfinished
         weight = np.where(hit, transmittance * alpha, 0)
         rgb += weight[..., None] * colors[i]
         depth += weight * splats.depths[i]
@@ -175,3 +164,28 @@ def rasterize_reference(
         rgb += transmittance[..., None] * np.asarray(background, np.float64)
     depth = np.divide(depth, covered, out=np.zeros_like(depth), where=covered > 0)
     return rgb, covered, depth
+
+
+def _visible(
+    arrays: Sequence[Array],
+    viewmat: Array,
+    K: Array,
+    width: int,
+    height: int,
+    depths: tuple[float, float],
+    sh_degree: int | None,
+) -> tuple[Projected, Array, Array]:
+    """Splats that can be drawn: projected, their opacities and their colours."""
+    means, quats, _, opacities, _ = arrays
+    near, far = depths
+    depth = means @ viewmat[2, :3] + viewmat[2, 3]
+    finite = np.logical_and.reduce([np.isfinite(a.reshape(len(a), -1)).all(1) for a in arrays[:4]])
+    drawn = finite & (depth > near) & (depth < far) & (opacities >= ALPHA_MIN)
+    drawn &= np.linalg.norm(quats, axis=1) > 0
+    means, quats, scales, opacities, sh = (a[drawn] for a in arrays)
+    degree = math.isqrt(sh.shape[1]) - 1 if sh_degree is None else sh_degree
+    rays = means + np.linalg.inv(viewmat[:3, :3]) @ viewmat[:3, 3]
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    basis = sh_basis(rays, degree)
+    colors = np.fmax(np.einsum("nk,nkc->nc", basis, sh[:, : basis.shape[1]]) + 0.5, 0)
+    return project(means, quats, scales, viewmat, K, width, height), opacities, colors

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
+import re
 import shutil
 import threading
 from collections.abc import Callable, Iterable, Iterator
@@ -24,6 +25,7 @@ Frame = NDArray[np.uint8]
 Sink = Callable[[Frame], None]
 
 QUEUE = 8
+FRAME = re.compile(r"frame_\d+\.png")
 VIDEOS = (".mp4", ".mov", ".mkv", ".webm")
 
 
@@ -64,8 +66,8 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
 
     frames: (height, width, 3) pictures of one size, uint8 or floats in 0 to 1, made while
     earlier ones are encoded. A path without extension is a folder, its files named
-    ``frame_0000.png`` and on. Videos with an odd side get their last row or column twice, since
-    h264 halves the colours. Without ffmpeg at hand a video becomes a .gif of the same stem.
+    ``frame_0000.png`` and on; only there may frames have a fourth channel, straight alpha. Videos
+    with an odd side get their last row or column twice, since h264 halves the colours. Without ffmpeg at hand a video becomes a .gif of the same stem.
 
     Returns the path written to. Raises OutputError where there is no frame, sizes differ, the
     extension is unknown or the place can't be written; whatever ``frames`` raises comes
@@ -76,12 +78,14 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
         path = path.with_suffix(".gif")
     with _beside(path) as partial, _sink(partial, fps) as sink, _on_thread(sink) as send:
         shape = None
+        channels = ((3,), (4,)) if path.suffix == "" else ((3,),)
         for frame in frames:
             pixels = to_bytes(frame)
             shape = shape or pixels.shape
-            if pixels.ndim != 3 or pixels.shape[2] != 3 or pixels.shape != shape:
+            if pixels.shape != shape or shape[2:] not in channels:
                 raise OutputError(
-                    f"{path}: a frame has shape {pixels.shape}, expected {(*shape[:2], 3)}"
+                    f"{path}: a frame has shape {pixels.shape}, expected {shape[:2]} pixels of "
+                    f"{' or '.join(str(count) for (count,) in channels)} channels"
                 )
             send(pixels)
         if shape is None:
@@ -92,11 +96,11 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
 @contextlib.contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """A temporary neighbour that takes the place of ``path`` when all went well."""
-    partial = path.with_name(f".{path.stem}.partial-{os.getpid()}{path.suffix}")
+    partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
     try:
         yield partial
         if partial.is_dir() and path.is_dir():
-            shutil.rmtree(path)
+            _remove_frames(path)
         partial.replace(path)
     except OSError as error:
         raise OutputError(f"{path}: can't be written: {error.strerror or error}") from error
@@ -106,6 +110,15 @@ def _beside(path: Path) -> Iterator[Path]:
         else:
             with contextlib.suppress(OSError):
                 partial.unlink(missing_ok=True)
+
+
+def _remove_frames(folder: Path) -> None:
+    """Remove a folder of earlier frames, and refuse if it holds anything else."""
+    if strangers := [file.name for file in folder.iterdir() if not FRAME.fullmatch(file.name)]:
+        raise OutputError(
+            f"{folder}: holds {strangers[0]!r}, expected only frames; choose another folder"
+        )
+    shutil.rmtree(folder)
 
 
 @contextlib.contextmanager
@@ -196,7 +209,8 @@ def _gif(path: Path, fps: float) -> Iterator[Sink]:
 
     # A gif counts hundredths of a second, and players slow down what is below two of them.
     duration = max(20, round(100 / fps) * 10)
-    with imageio.get_writer(path, format="GIF", duration=duration, loop=0) as writer:  # type: ignore[arg-type]
+    writer: Any
+    with imageio.get_writer(path, format="GIF", duration=duration, loop=0) as writer:
         yield writer.append_data
 
 
