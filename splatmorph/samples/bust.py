@@ -11,7 +11,7 @@ from splatmorph.samples.head import Head
 from splatmorph.samples.implicit import Array, Field, column, length, mirrored, normals, smoothstep
 from splatmorph.samples.people import Person
 from splatmorph.samples.shading import creases, shade
-from splatmorph.samples.skin import hairline, skin_colors
+from splatmorph.samples.skin import beard, hairline, skin_colors
 from splatmorph.samples.splats import Strokes, flat, to_gaussians
 from splatmorph.samples.surface import Grid, local_spacing, scatter
 
@@ -30,11 +30,13 @@ def skin_spacing(head: Head) -> Field:
         eye = length((m - column((a.eye_x, 1, a.eye_z + 8))) / column((1.25, 1, 1)))
         mouth = length((m - column((0, a.mouth_y, a.mouth_z - 2))) / column((1.5, 0.8, 1)))
         nose = length(m - column((0, a.nose_tip[1] - 2, a.nose_tip[2] - 10)))
-        ear = length(m - column((a.cranium[0] + 3, -14, -10))) - 10
+        ear = length(m - column((a.ear_x, -14, -12))) - 6
         fine = np.minimum(np.minimum(eye, mouth), np.minimum(nose, ear + 4))
-        out = 1.05 + 1.75 * smoothstep(14, 70, fine)
-        out = out + 2.2 * smoothstep(-2, 14, hairline(head, p)) * smoothstep(18, 34, ear)
-        return out + 0.8 * smoothstep(-115, -140, p[1])
+        out = 1.35 + 1.75 * smoothstep(10, 48, fine)
+        out = out + 2.4 * smoothstep(-2, 14, hairline(head, p)) * smoothstep(6, 22, ear)
+        if a.beard:
+            out = out + 1.2 * beard(head, p)
+        return out + 1.2 * smoothstep(-100, -135, p[1])
 
     return spacing
 
@@ -58,7 +60,7 @@ def strokes(person: Person) -> tuple[Strokes, Array, Grid]:
     folds = [creases(head, skin, n)]
 
     cloth_grid = Grid.of(garment, LOW, (150.0, -110.0, 140.0), CELL)
-    cloth = scatter(garment, cloth_grid, lambda p: np.full(p.shape[1], 3.4, np.float32), rng)
+    cloth = scatter(garment, cloth_grid, garment.spacing, rng)
     cloth = cloth[:, head(cloth) > 0.5]
     n = normals(garment, cloth)
     parts.append(flat(cloth, n, OVERLAP * local_spacing(cloth), garment.colors(cloth), 0.15))
@@ -75,6 +77,8 @@ def strokes(person: Person) -> tuple[Strokes, Array, Grid]:
     for part in tresses:
         parts.append(part)
         folds.append(np.ones(len(part), np.float32))
+    import os
+    if os.environ.get('SHOW'): print([len(x) for x in parts])
     return Strokes.concatenate(parts), np.concatenate(folds), Grid.of(solid, LOW, HIGH, CELL)
 
 

@@ -26,13 +26,17 @@ class Garment:
         ribs = 0.35 * np.sin(np.arctan2(p[0], p[2] + 20) * 46) * smoothstep(-22, -16, above)
         cloth = meet(body - THICKNESS, above, 3.0) - ribs * smoothstep(6, 0, np.abs(body - THICKNESS))
         roll = np.hypot(np.maximum(np.abs(above + 7) - 5, 0), body - THICKNESS - 0.5) - 3.2
-        return join(cloth, roll, 2.5)
+        return join(cloth, roll, 6.0)
 
     def above_collar(self, p: Array) -> Array:
         """Height above the collar's edge, which lies lower in front."""
         a = self.head.person
         edge = a.collar_y + a.collar_lift * (1 - smoothstep(-60, 40, p[2])) * 2
         return p[1] - edge
+
+    def spacing(self, p: Array) -> Array:
+        """Distance between neighbouring splats, finer at the collar."""
+        return 3.0 + 2.0 * smoothstep(-18, -30, self.above_collar(p))
 
     def colors(self, p: Array) -> Array:
         a = self.head.person

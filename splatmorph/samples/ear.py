@@ -19,7 +19,7 @@ def ear_frame(person: Person) -> tuple[Array, Array]:
     if out[0] < 0:
         out = -out
     up, back = np.cos(lean) * up + np.sin(lean) * back, np.cos(lean) * back - np.sin(lean) * up
-    center = column((person.cranium[0] + 3, -14, -10))
+    center = column((person.ear_x, -14, -12))
     return center, np.stack([out, up, back]).astype(np.float32)
 
 

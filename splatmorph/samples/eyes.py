@@ -9,9 +9,9 @@ from splatmorph.samples.implicit import Array, column, length, normals, project,
 from splatmorph.samples.skin import mix
 from splatmorph.samples.splats import Strokes, flat, tangential
 
-IRIS = 6.3
-PUPIL = 2.5
-SPACING = 0.62
+IRIS = 6.5
+PUPIL = 2.4
+SPACING = 0.75
 
 
 def eyeballs(head: Head) -> Strokes:
@@ -64,19 +64,18 @@ def eyeball(head: Head, side: int) -> Strokes:
 def lashes(head: Head, rng: np.random.Generator) -> Strokes:
     """Upper lashes: short dark strands that sweep up and outward from the lid's edge."""
     a = head.person
-    count = 34
-    u = np.tile(np.linspace(-0.80, 0.97, count), 2).astype(np.float32)
+    count = 44
+    u = rng.uniform(-0.75, 1.0, 2 * count).astype(np.float32)
     side = np.repeat([1.0, -1.0], count).astype(np.float32)
     x = u * a.eye_half_width
-    y = a.lid_upper * (1 - u * u) * (1 - 0.14 * u) + a.eye_tilt * x + 0.3
+    y = a.lid_upper * (1 - u * u) * (1 - 0.14 * u) + a.eye_tilt * x + 0.2
     z = np.sqrt(np.maximum((EYEBALL + LID) ** 2 - x * x - y * y, 4))
-    reach = (4.2 + 2.6 * smoothstep(-0.5, 1, u)) * (1 - 0.5 * a.age) * rng.uniform(0.8, 1.15, x.size)
-    strands = []
-    for step in (0.2, 0.6):
-        point = np.stack(
-            [x + reach * step * 0.55 * u, y + reach * step * (0.25 + 0.6 * step), z + reach * step * 0.75]
-        )
-        strands.append(point)
+    reach = (3.4 + 3.4 * smoothstep(-0.6, 1, u)) * (1 - 0.5 * a.age) * rng.uniform(0.6, 1.2, x.size)
+    fan = 0.75 * u + 0.22 * rng.normal(size=x.size)
+    strands = [
+        np.stack([x + reach * s * fan, y + reach * s * (0.1 + 0.6 * s), z + reach * s * 0.7])
+        for s in (0.2, 0.62)
+    ]
     a_, b_ = (np.stack([side * s[0], s[1], s[2]]) for s in strands)
     along = (b_ - a_) / length(b_ - a_)
     center = np.stack([side * a.eye_x, 0 * x, 0 * x + a.eye_z])
@@ -84,7 +83,7 @@ def lashes(head: Head, rng: np.random.Generator) -> Strokes:
     along = np.tile(along, 2).astype(np.float32)
     normal = tangential(np.tile(column((0, 0.3, 1)), (1, points.shape[1])), along)
     n = points.shape[1]
-    sizes = np.stack([np.tile(reach * 0.17, 2), np.full(n, 0.22), np.full(n, 0.15)])
+    sizes = np.stack([np.tile(reach * 0.17, 2), np.full(n, 0.17), np.full(n, 0.12)])
     color = column(a.brow) * 0.5 * np.ones((3, n), np.float32)
     ones = np.ones(n, np.float32)
     return Strokes(points, normal, along, sizes.astype(np.float32), color, 0.1 * ones, ones)
@@ -123,6 +122,6 @@ def brows(head: Head, rng: np.random.Generator) -> Strokes:
     long, thin = 1.5 + 0.6 * a.age, 0.36
     sizes = np.stack([long * size, thin * size, np.full(count, 0.14)]).astype(np.float32)
     tone = column(a.brow) * rng.uniform(0.7, 1.35, count).astype(np.float32)
-    lift = rng.uniform(0.2, 0.9 + 1.2 * a.age, count).astype(np.float32)
+    lift = rng.uniform(0.5, 1.2 + 1.2 * a.age, count).astype(np.float32)
     ones = np.ones(count, np.float32)
     return Strokes(p + n * lift, n, along, sizes, np.clip(tone, 0, 1), 0.2 * ones, ones)

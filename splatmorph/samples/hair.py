@@ -40,7 +40,7 @@ def scalp(head: Head) -> Field:
 
 def volume(head: Head) -> Field:
     """Signed distance to the mass of the hair, for its shadows."""
-    thick = 6.0
+    thick = 3.0
 
     def field(p: Array) -> Array:
         above = np.clip(hairline(head, p) * 0.3, -20, thick)
@@ -141,7 +141,8 @@ def drawn_back(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     tone = 0.35 + 0.40 * depths + 0.22 * mark + 0.10 * rng.normal(size=points.shape[1])
     colors = mix(column(a.hair), a.hair_tip, np.clip(tone, 0, 1))
     light = 0.45 + 0.45 * depths + 0.14 * mark
-    width = 1.05 + 0.5 * rng.uniform(size=points.shape[1])
+    grown = smoothstep(-2, 12, hairline(head, points))
+    width = (1.05 + 0.5 * rng.uniform(size=points.shape[1])) * (0.4 + 0.6 * grown)
     return paint(field, pieces, width, colors, light, 1.1).select(keep)
 
 
@@ -181,7 +182,7 @@ def cropped(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     field = scalp(head)
     above = hairline(head, skin)
     inside = (above > rng.uniform(-1, 9, above.size)) & (in_ear(head, skin) < 0.3)
-    roots = rng.choice(skin[:, inside], 2500, axis=1)
+    roots = rng.choice(skin[:, inside], 2300, axis=1)
     roots += rng.normal(0, 1.5, roots.shape).astype(np.float32)
     lock = noise(roots, 16, a.seed + 9)
     depth = np.clip(rng.uniform(0, 1, roots.shape[1]) + 0.25 * lock, 0, 1).astype(np.float32)
@@ -221,7 +222,7 @@ def bearded(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     roots += rng.normal(0, 0.5, roots.shape).astype(np.float32)
     depth = rng.uniform(0, 1, roots.shape[1]).astype(np.float32)
     q = head.mouth_frame(mirrored(roots))
-    moustache = smoothstep(-1, 2, q[1]) * smoothstep(a.mouth_half_width + 12, a.mouth_half_width, mirrored(roots)[0])
+    moustache = smoothstep(-2, 2, q[1]) * smoothstep(a.mouth_half_width + 12, a.mouth_half_width, mirrored(roots)[0])
     thick = smoothstep(0.2, 1.0, beard(head, roots)) * (1 - 0.5 * moustache)
     long = smoothstep(-70, -115, roots[1]) * smoothstep(10, 60, roots[2])
 
@@ -245,5 +246,5 @@ def bearded(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     chin = smoothstep(30, 8, np.abs(points[0])) * smoothstep(-85, -100, points[1])
     colors = mix(column(a.hair) * 0.85, a.hair_tip, np.clip(tone + 0.2 * chin, 0, 1))
     light = 0.62 + 0.30 * np.tile(depth, steps) + 0.12 * tip
-    clear = np.minimum(*head.lips(mirrored(points))) > 0.9
+    clear = np.minimum(*head.lips(mirrored(points))) > 0.3
     return paint(head, pieces, 0.55, colors, light, 0.4).select(clear)

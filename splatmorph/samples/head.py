@@ -23,7 +23,7 @@ from splatmorph.samples.implicit import (
 )
 from splatmorph.samples.people import Person
 
-EYEBALL = 12.0
+EYEBALL = 15.0
 """Radius of an eyeball, mm."""
 LID = 1.5
 """Thickness of an eyelid, mm."""
@@ -42,8 +42,8 @@ class Head:
         d = self.with_nose(m, d)
         d = self.with_mouth(m, d)
         d = self.with_lids(m, d)
-        d = join(d, self.neck(m), 16)
-        return self.with_ears(m, d)
+        d = join(d, self.neck(m), 14)
+        return self.with_ears(m, d) + self.person.age * wrinkles(p)
 
     def skull(self, m: Array) -> Array:
         """Cranium, face, cheekbones, brow and jaw."""
@@ -54,7 +54,8 @@ class Head:
         gonion = (a.jaw_half_width, a.jaw_y, 12)
         corner = (a.chin_radii[0], a.chin[1] + 3, a.chin[2] - 6)
         d = join(d, capsule(m, gonion, corner, a.jaw_radius, a.jaw_radius * 0.8), 24)
-        d = join(d, capsule(m, (a.jaw_half_width + 5, -30, 2), gonion, 13, a.jaw_radius), 20)
+        root = (a.jaw_half_width + 6, -28, 2)
+        d = join(d, capsule(m, root, gonion, a.jaw_radius - 2, a.jaw_radius), 20)
         d = join(d, ellipsoid(m, a.chin, a.chin_radii), 16)
         size = a.cheekbone_size
         d = join(d, ellipsoid(m, a.cheekbone, (size, size * 0.72, size)), 22)
@@ -69,8 +70,8 @@ class Head:
         a = self.person
         socket = ellipsoid(m, (a.eye_x, -3, a.eye_z + 24), (19, 13.5, 15))
         d = carve(d, socket, 12)
-        temple = ellipsoid(m, (86, 22, 48), (18, 26, 24))
-        return carve(d, temple, 16)
+        temple = ellipsoid(m, (88, 20, 46), (18, 26, 24))
+        return carve(d, temple, 14)
 
     def with_nose(self, m: Array, d: Array) -> Array:
         a = self.person
@@ -113,10 +114,12 @@ class Head:
         a = self.person
         q = self.mouth_frame(m)
         w, up, low = a.mouth_half_width, a.lip_upper, a.lip_lower
-        lobe = ellipsoid(q, (w * 0.36, up * 0.52, 1.0), (w * 0.62, up * 0.72, 6.0))
-        tubercle = ellipsoid(q, (0, up * 0.38, 2.0), (w * 0.22, up * 0.66, 5.0))
-        upper = join(lobe, tubercle, 2.5)
-        lower = ellipsoid(q, (w * 0.22, -low * 0.52, 0.6), (w * 0.70, low * 0.70, 6.6))
+        # Both lips thin out toward the corners: heights are measured in a widening frame.
+        taper = np.sqrt(np.maximum(1 - 0.92 * (q[0] / w) ** 2, 0.06))
+        bow = 0.22 * up * np.exp(-((q[0] / 3.2) ** 2)) - 0.16 * up * np.exp(-(((q[0] - 6.5) / 4) ** 2))
+        t = np.stack([q[0], (q[1] + np.where(q[1] > 0, bow, 0)) / taper, q[2]])
+        upper = ellipsoid(t, (0, up * 0.48, 0.6), (w * 1.02, up * 0.62, 5.6)) * taper
+        lower = ellipsoid(t, (0, -low * 0.50, 0.2), (w * 0.97, low * 0.60, 6.4)) * taper
         return upper, lower
 
     def with_mouth(self, m: Array, d: Array) -> Array:
@@ -134,8 +137,8 @@ class Head:
             upper, lower = self.lips(q)
             skin = join(skin, upper, 2.2)
             skin = join(skin, lower, 2.2)
-            parting = ellipsoid(frame, (0, 0, 6.0), (w * 0.94, 0.5, 5.0))
-            return carve(skin, parting, 1.5)
+            parting = ellipsoid(frame, (0, 0, 6.5), (w * 0.90, 0.4, 5.0))
+            return carve(skin, parting, 1.6)
 
         inside = np.flatnonzero(length(m - column((0, y, z - 8))) < 60)
         d[inside] = details(m[:, inside], d[inside])
@@ -185,12 +188,13 @@ class Head:
         r = a.neck_radius
         front = 38
         d = capsule(m, (0, -50, front - r), (0, -200, front - 8 - r), r, r + 2)
-        cord = capsule(m, (r * 0.95, -45, -14), (9, -178, front), 7, 5)
+        cord = capsule(m, (r * 0.85, -45, -16), (9, -170, front - 6), 6, 4)
         d = join(d, cord, 18)
         throat = ellipsoid(m, (0, -138, front - 4), (7, 12, 6 + 3 * a.throat))
         d = join(d, throat, 16)
-        shoulder = capsule(m, (25, -150, -45), (95, -196, -42), 30, 28)
+        shoulder = capsule(m, (20, -152, -32), (90, -198, -30), 28, 30)
         d = join(d, shoulder, 45)
+        d = join(d, ellipsoid(m, (0, -215, -18), (96, 62, 58)), 30)
         return meet(d, -m[1] - 205, 10)
 
     def with_ears(self, m: Array, d: Array) -> Array:
@@ -201,3 +205,14 @@ class Head:
 def v_above(q: Array, tilt: float) -> Array:
     """1 over the upper lid, 0 over the lower one."""
     return smoothstep(-2, 3, q[1] - tilt * q[0])
+
+
+def wrinkles(p: Array) -> Array:
+    """Depth in mm of the lines that age leaves on a forehead and beside the eyes."""
+    x, y, z = p
+    wave = y - 4 * np.cos(x / 17) - 1.5 * np.sin(x / 9 + 1)
+    lines = np.exp(3 * (np.cos(wave * (2 * np.pi / 9.5)) - 1))
+    forehead = np.exp(-((x / 36) ** 2) - ((y - 47) / 13) ** 2) * (z > 40)
+    fan = np.exp(4 * (np.cos((y - 2) / np.maximum(np.abs(x) - 38, 4) * 14) - 1))
+    temple = np.exp(-(((np.abs(x) - 53) / 6) ** 2) - (y / 9) ** 2) * (z > 30)
+    return 0.75 * lines * forehead + 0.5 * fan * temple

@@ -48,7 +48,7 @@ def beard(head: Head, p: Array) -> Array:
     moustache = smoothstep(a.mouth_half_width + 10, a.mouth_half_width + 3, m[0])
     moustache = moustache * smoothstep(16, 12, q[1]) * smoothstep(-16, -8, q[2]) * smoothstep(-8, 2, q[1])
     lips = np.minimum(*head.lips(m))
-    return np.maximum(jaw, moustache) * smoothstep(0.8, 2.2, lips)
+    return np.maximum(jaw, moustache) * smoothstep(0.3, 1.5, lips)
 
 
 def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
@@ -60,7 +60,7 @@ def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
     blush = 0.50 * spot(m, (a.cheekbone[0] - 2, a.cheekbone[1] - 6, 70), (20, 16, 30))
     blush += 0.50 * spot(m, (0, y, z - 4), (15, 11, 16))
     blush += 0.20 * spot(m, a.chin, (16, 12, 20))
-    blush += 0.45 * spot(m, (a.cranium[0] + 6, -14, -8), (12, 40, 26))
+    blush += 0.45 * spot(m, (a.ear_x + 3, -14, -8), (12, 40, 26))
     blush += 0.16 * noise(p, 34, a.seed) * (0.4 + 0.6 * smoothstep(20, -20, p[1]))
     tone = mix(tone, a.blush, np.clip(blush * 0.85, 0, 0.7))
     forehead = 0.10 * spot(p, (0, 50, 86), (50, 26, 40))
@@ -71,21 +71,22 @@ def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
     upper = spot(q, (3, 8, 9), (16, 5, 12)) * 0.32
     tone = mix(tone, (0.50, 0.28, 0.24), upper)
     upper_lip, lower_lip = head.lips(m)
-    lips = smoothstep(1.5, 0.3, np.minimum(upper_lip, lower_lip))
+    lips = smoothstep(1.7, 0.1, np.minimum(upper_lip, lower_lip))
     lip_tone = column(a.lips) * (1 + 0.05 * noise(p * column((4, 0.5, 1)), 9, a.seed + 1))
     tone = mix(tone, lip_tone, lips * 0.92)
     gap = head.lid_gap(q)
     ball = length(q) - EYEBALL
     rim = smoothstep(1.6, 0.2, np.abs(gap)) * smoothstep(3.5, 2.0, np.abs(ball)) * (q[2] > 0)
     lash_line = smoothstep(-1, 2, q[1] - a.eye_tilt * q[0])
-    tone = mix(tone, tuple(0.5 * c for c in a.brow), rim * (0.30 + 0.60 * lash_line))
+    edge = rim * smoothstep(-0.95, -0.6, q[0] / a.eye_half_width)
+    tone = mix(tone, tuple(0.5 * c for c in a.brow), edge * (0.22 + 0.68 * lash_line))
     caruncle = spot(q, (-a.eye_half_width + 0.5, -0.5, 7), (2.6, 2.2, 5))
     tone = mix(tone, (0.78, 0.42, 0.40), caruncle * (gap < 0.3))
     if a.beard:
-        tone = mix(tone, tuple(0.75 * c for c in a.hair), 0.75 * beard(head, p))
-    scalp = smoothstep(-3, 5, hairline(head, p) + 2.0 * noise(p, 9, a.seed + 2))
+        tone = mix(tone, tuple(0.9 * c for c in a.hair), 0.75 * beard(head, p))
+    scalp = smoothstep(-4, 9, hairline(head, p) + 2.0 * noise(p, 9, a.seed + 2))
     scalp *= 1 - in_ear(head, p)
-    tone = mix(tone, tuple(0.62 * c for c in a.hair), scalp * (0.95 if a.bun else 0.80))
+    tone = mix(tone, tuple((0.62 if a.bun else 0.9) * c for c in a.hair), scalp * (0.95 if a.bun else 0.75))
     tone = tone * (1 + 0.018 * noise(p, 7, a.seed + 3) + 0.012 * noise(p, 3.2, a.seed + 4))
     gloss = 0.40 + 0.25 * spot(m, (0, y + 8, z - 6), (16, 24, 20)) + 0.55 * lips
     gloss += 0.15 * spot(p, (0, 50, 86), (45, 30, 40))

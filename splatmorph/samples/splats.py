@@ -56,7 +56,7 @@ class Strokes:
 def flat(points: Array, normals: Array, size: Array, colors: Array, gloss: float | Array) -> Strokes:
     """Round flakes lying on a surface."""
     n = points.shape[1]
-    sizes = np.stack([size, size, 0.18 * size])
+    sizes = np.stack([size, size, 0.11 * size])
     along = perpendicular(normals)
     shine = np.broadcast_to(np.asarray(gloss, np.float32), (n,))
     return Strokes(points, normals, along, sizes, colors, shine, np.ones(n, np.float32))

@@ -43,7 +43,7 @@ class Grid:
 
 
 def scatter(
-    field: Field, grid: Grid, spacing: Field, rng: np.random.Generator, *, relaxations: int = 4
+    field: Field, grid: Grid, spacing: Field, rng: np.random.Generator, *, relaxations: int = 6
 ) -> Array:
     """(3, n) points on the zero set of ``field``, about ``spacing(p)`` mm from their neighbours."""
     cells = grid.cells_near_zero()
@@ -67,9 +67,9 @@ def repel(p: Array, spacing: Array, neighbours: int = 7) -> Array:
 
 
 def local_spacing(p: Array, neighbours: int = 6) -> Array:
-    """(n,) mean distance to the nearest neighbours, mm."""
+    """(n,) distance to the ring of nearest neighbours, mm: between their mean and the farthest."""
     gap, _ = cKDTree(p.T).query(p.T, k=neighbours + 1, workers=-1)
-    return gap[:, 1:].mean(1).astype(np.float32)
+    return (0.5 * (gap[:, 1:].mean(1) + gap[:, -1])).astype(np.float32)
 
 
 __all__ = ["Grid", "length", "local_spacing", "normals", "repel", "scatter"]
