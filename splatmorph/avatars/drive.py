@@ -104,7 +104,7 @@ class Drive:
             posed = self._flame(mesh, pose)
         faces = self._flame.faces
         away = triangle_frames(posed, faces).after(triangle_frames(mesh, faces).inverse())
-        return away[binding].apply(replace(morph, extras=extras))
+        return away.apply(replace(morph, extras=extras), binding)
 
     def _meshes(self, times: Sequence[float]) -> Tensor:
         """(T, V, 3) the blended canonical mesh at each time."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -61,11 +62,13 @@ class Flame(nn.Module):
     def read(path: Path, *, teeth: bool) -> Flame:
         """The user's FLAME file, with the teeth of GaussianAvatars or without.
 
+        The file is large and two avatars share it, so the last ones read are kept.
+
         Raises:
             ReadError: see ``read_flame``.
         """
-        arrays = read_flame(path)
-        return Flame(with_teeth(arrays) if teeth else arrays)
+        modified = path.stat().st_mtime_ns if path.is_file() else 0
+        return _read(path.resolve(), modified, teeth)
 
     def rest(self, shape: Tensor, offset: Tensor | None = None) -> Tensor:
         """The person (V, 3): template + shapes · β + offset, in the canonical pose.
@@ -112,6 +115,12 @@ class Flame(nn.Module):
             turned.append(turned[parent] @ rotations[..., joint, :, :])
         world = torch.stack(turned, dim=-3)
         return world, torch.stack(stands, dim=-2) - (world @ places[..., None]).squeeze(-1)
+
+
+@lru_cache(maxsize=2)
+def _read(path: Path, modified: int, teeth: bool) -> Flame:
+    arrays = read_flame(path)
+    return Flame(with_teeth(arrays) if teeth else arrays)
 
 
 def rotation_matrices(axis_angles: Tensor) -> Tensor:

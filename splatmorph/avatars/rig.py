@@ -21,7 +21,7 @@ from splatmorph.avatars.track import Track
 from splatmorph.avatars.triangles import triangle_frames
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
-from splatmorph.io.ply import BINDING, gaussians_from_properties, read_properties
+from splatmorph.io.ply import BINDING, NORMALS, gaussians_from_properties, read_properties
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Rig:
 
     def bake(self, vertices: Tensor) -> Gaussians:
         """The splats in world space on the mesh ``vertices`` (V, 3)."""
-        return triangle_frames(vertices, self.faces)[self.binding].apply(self.local)
+        return triangle_frames(vertices, self.faces).apply(self.local, self.binding)
 
 
 def read_rig(
@@ -98,7 +98,8 @@ def read_local(path: Path) -> tuple[Gaussians, Tensor]:
     """
     columns = read_properties(path)
     binding = _binding(path, columns)
-    rest = {name: value for name, value in columns.items() if name != BINDING}
+    # Normals, where anyone wrote some, would be the triangles' own.
+    rest = {name: value for name, value in columns.items() if name not in (BINDING, *NORMALS)}
     return gaussians_from_properties(rest, path), binding
 
 

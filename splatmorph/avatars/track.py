@@ -98,10 +98,10 @@ class Track:
 
 def _load(path: Path) -> Mapping[str, NDArray[Any]]:
     try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            raise ReadError(f"{path} holds one array, expected the .npz of a track")
-        with loaded:
+        with path.open("rb") as stream:
+            loaded = np.load(stream, allow_pickle=False)
+            if isinstance(loaded, np.ndarray):
+                raise ReadError(f"{path} holds one array, expected the .npz of a track")
             stored = {key: loaded[key] for key in loaded.files}
     except OSError as error:
         raise ReadError(f"can't read {path}: {error.strerror or error}") from error

@@ -16,17 +16,14 @@ SHORTEST = 1e-9
 
 @dataclass(frozen=True)
 class Frames:
-    """m similarities x ↦ k R x + c, local → world; every splat has its own."""
+    """F similarities x ↦ k R x + c, local → world: one a face."""
 
     rotations: Tensor
-    """(m, 3, 3) R, columns the axes in the world."""
+    """(F, 3, 3) R, columns the axes in the world."""
     scales: Tensor
-    """(m,) k > 0, world units a local unit."""
+    """(F,) k > 0, world units a local unit."""
     centers: Tensor
-    """(m, 3) c, world units."""
-
-    def __getitem__(self, index: Tensor) -> Frames:
-        return Frames(self.rotations[index], self.scales[index], self.centers[index])
+    """(F, 3) c, world units."""
 
     def inverse(self) -> Frames:
         """World → local."""
@@ -38,19 +35,24 @@ class Frames:
         moved = self.scales[:, None] * _rotate(self.rotations, first.centers) + self.centers
         return Frames(self.rotations @ first.rotations, self.scales * first.scales, moved)
 
-    def apply(self, gaussians: Gaussians) -> Gaussians:
-        """Splat i by similarity i: position, size and rotation.
+    def apply(self, gaussians: Gaussians, binding: Tensor) -> Gaussians:
+        """Every splat by the similarity of its face: position, size and rotation.
 
         Opacity and SH stay. SH coefficients of an avatar are trained in the posed world frame,
         so no triangle turns them.
+
+        Arguments:
+            gaussians: n splats.
+            binding: (n,) the face of each.
         """
-        means = self.scales[:, None] * _rotate(self.rotations, gaussians.means.double())
-        turn = quaternions.from_matrices(self.rotations)
-        quats = quaternions.product(turn, quaternions.normalized(gaussians.quats.double()))
-        log_scales = gaussians.log_scales.double() + self.scales.log()[:, None]
+        scales = self.scales[binding, None]
+        means = scales * _rotate(self.rotations[binding], gaussians.means.double())
+        turns = quaternions.from_matrices(self.rotations)[binding]
+        quats = quaternions.product(turns, quaternions.normalized(gaussians.quats.double()))
+        log_scales = gaussians.log_scales.double() + scales.log()
         return replace(
             gaussians,
-            means=(means + self.centers).to(gaussians.means.dtype),
+            means=(means + self.centers[binding]).to(gaussians.means.dtype),
             quats=quats.to(gaussians.quats.dtype),
             log_scales=log_scales.to(gaussians.log_scales.dtype),
         )

@@ -35,8 +35,7 @@ def model() -> dict[str, NDArray[Any]]:
     faces = hull.simplices
     outward = np.einsum("fc,fc->f", hull.equations[:, :3], _normals(vertices, faces)) > 0
     faces = np.where(outward[:, None], faces, faces[:, ::-1])
-    lowest = np.argsort(vertices[faces].mean(1)[:, 1], kind="stable")
-    faces = np.delete(faces, lowest[: len(faces) - FACES], axis=0)
+    faces = np.delete(faces, _apart(faces, vertices, len(faces) - FACES), axis=0)
     away = np.linalg.norm(vertices[:, None] - JOINT_PLACES, axis=2)
     weights = np.exp(-((away / 0.05) ** 2)) + 1e-4
     regressor = np.zeros((5, VERTICES))
@@ -173,6 +172,8 @@ def write_local(path: Path, binding: NDArray[Any], seed: int = 0) -> Path:
     table = np.empty(count, [(name, "<f4") for name in names])
     for name in names:
         table[name] = random.normal(size=count) * 0.5
+    for name in ("nx", "ny", "nz"):
+        table[name] = 0
     table["binding_0"] = binding
     PlyData([PlyElement.describe(table, "vertex")], byte_order="<").write(path)
     return path
@@ -201,6 +202,17 @@ def _with_mouth(vertices: NDArray[np.float64]) -> NDArray[np.float64]:
             order[[vertex, other]] = order[[other, vertex]]
             taken.add(vertex)
     return vertices[order]
+
+
+def _apart(faces: NDArray[Any], vertices: NDArray[np.float64], count: int) -> list[int]:
+    """The lowest faces of which no two share a vertex, so that without them none is left out."""
+    chosen: list[int] = []
+    touched: set[int] = set()
+    for face in np.argsort(vertices[faces].mean(1)[:, 1], kind="stable").tolist():
+        if len(chosen) < count and touched.isdisjoint(faces[face].tolist()):
+            chosen.append(face)
+            touched.update(faces[face].tolist())
+    return chosen
 
 
 def _normals(vertices: NDArray[np.float64], faces: NDArray[Any]) -> NDArray[np.float64]:

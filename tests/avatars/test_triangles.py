@@ -33,6 +33,11 @@ def _triangles(count: int, seed: int) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.from_numpy(corners), torch.arange(3 * count).view(count, 3)
 
 
+def _bound(frames: Frames, splats: Gaussians) -> Gaussians:
+    """Splat i on face i."""
+    return frames.apply(splats, torch.arange(len(splats)))
+
+
 def _rotation(quats: torch.Tensor) -> Rotation:
     return Rotation.from_quat(quats[:, [1, 2, 3, 0]].numpy())
 
@@ -41,7 +46,7 @@ def _rotation(quats: torch.Tensor) -> Rotation:
 def test_baking_agrees_with_the_twin(seed: int) -> None:
     vertices, faces = _triangles(8, seed)
     local = _splats(8, seed)
-    world = triangle_frames(vertices, faces).apply(local)
+    world = _bound(triangle_frames(vertices, faces), local)
     for i in range(8):
         mean, turn, scale = flame_twin.baked(
             local.means[i].numpy(),
@@ -59,7 +64,7 @@ def test_baking_agrees_with_the_twin(seed: int) -> None:
 def test_there_and_back(seed: int) -> None:
     frames = triangle_frames(*_triangles(20, seed))
     local = _splats(20, seed)
-    back = frames.inverse().apply(frames.apply(local))
+    back = _bound(frames.inverse(), _bound(frames, local))
     torch.testing.assert_close(back.means, local.means, rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(back.log_scales, local.log_scales, rtol=1e-6, atol=1e-12)
     assert (_rotation(back.quats).inv() * _rotation(local.quats)).magnitude().max() < 1e-9
@@ -69,9 +74,9 @@ def test_there_and_back(seed: int) -> None:
 
 def test_there_and_back_in_the_precision_of_a_file() -> None:
     frames = triangle_frames(*_triangles(500, 0))
-    world = frames.apply(_splats(500, 0, torch.float32))
+    world = _bound(frames, _splats(500, 0, torch.float32))
     assert world.means.dtype == torch.float32
-    again = frames.apply(frames.inverse().apply(world))
+    again = _bound(frames, _bound(frames.inverse(), world))
     torch.testing.assert_close(again.means, world.means, rtol=1e-6, atol=1e-8)
     torch.testing.assert_close(again.log_scales, world.log_scales, rtol=1e-6, atol=1e-6)
 
@@ -81,8 +86,8 @@ def test_carrying_from_one_pose_to_another_is_unbinding_and_binding(seed: int) -
     before = triangle_frames(*_triangles(10, seed))
     after = triangle_frames(*_triangles(10, seed + 1))
     local = _splats(10, seed)
-    carried = after.after(before.inverse()).apply(before.apply(local))
-    bound = after.apply(local)
+    carried = _bound(after.after(before.inverse()), _bound(before, local))
+    bound = _bound(after, local)
     torch.testing.assert_close(carried.means, bound.means, rtol=1e-6, atol=1e-9)
     torch.testing.assert_close(carried.log_scales, bound.log_scales, rtol=1e-6, atol=1e-9)
     assert (_rotation(carried.quats).inv() * _rotation(bound.quats)).magnitude().max() < 1e-9
@@ -118,13 +123,17 @@ def test_degenerate_triangles_have_finite_frames(corners: list[list[float]]) -> 
     assert torch.linalg.det(turn) == pytest.approx(1)
     assert frames.scales > 0
     local = _splats(1, 0)
-    for splats in (frames.apply(local), frames.inverse().apply(local)):
+    for splats in (_bound(frames, local), _bound(frames.inverse(), local)):
         for values in (splats.means, splats.quats, splats.log_scales):
             assert torch.isfinite(values).all()
 
 
-def test_frames_are_taken_by_face() -> None:
+def test_many_splats_share_a_face() -> None:
     frames = triangle_frames(*_triangles(4, 0))
-    chosen = frames[torch.tensor([2, 2, 0])]
-    assert isinstance(chosen, Frames)
-    torch.testing.assert_close(chosen.centers, frames.centers[[2, 2, 0]])
+    local = _splats(3, 0)
+    binding = torch.tensor([2, 2, 0])
+    world = frames.apply(local, binding)
+    for i in range(3):
+        one = frames.apply(local.select(torch.tensor([i])), binding[i : i + 1])
+        torch.testing.assert_close(world.means[i : i + 1], one.means)
+        torch.testing.assert_close(world.quats[i : i + 1], one.quats)
