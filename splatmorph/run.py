@@ -188,18 +188,23 @@ def load_inputs(run: Run) -> tuple[Input, ...]:
     return tuple(_load_again(source) for source in run.inputs)
 
 
+def morph_of(run: Run, inputs: Sequence[Input], **options: Any) -> Morph:
+    """The morph of a run and its loaded inputs; ``options`` are those of ``Morph``."""
+    if len(inputs) != 2:
+        raise OptionError(f"the run morphs {len(inputs)} splats, expected a run of two")
+    source, target = inputs
+    return Morph(source.gaussians, target.gaussians, run.legs[0].flow, **options)
+
+
 def load_run(folder: str | Path, **options: Any) -> Morph:
     """The morph of a run directory; ``options`` are those of ``Morph`` (ramp, covariance, …).
 
     Raises:
         RunError: the directory is no run, or its inputs have moved or changed.
-        OptionError: the run is a chain of more than two splats.
+        OptionError: an option that ``Morph`` refuses.
     """
     run = open_run(folder)
-    if len(run.inputs) != 2:
-        raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
-    source, target = load_inputs(run)
-    return Morph(source.gaussians, target.gaussians, run.legs[0].flow, **options)
+    return morph_of(run, load_inputs(run), **options)
 
 
 def save_state(folder: Path, state: FitState, asked: str) -> None:

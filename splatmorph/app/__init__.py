@@ -58,9 +58,13 @@ def launch(
 
 def run(tokens: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0, 1 (data) or 2 (usage)."""
+    tokens = sys.argv[1:] if tokens is None else list(tokens)
     # The interrupt is the fit's to handle: it keeps the best flow so far.
     app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
     try:
+        if tokens and tokens[0] in COMMANDS:
+            # The line of the overview gives way to the command's own text.
+            app[tokens[0]].help = None
         app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         return USAGE

@@ -9,11 +9,10 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import (
-    CovarianceOption,
-    EaseOption,
+    AS_THEY_ARE,
+    Blending,
     Out,
     Overwrite,
-    RampOption,
     RunPath,
     TimesOption,
 )
@@ -35,9 +34,7 @@ def export(
     prune: Annotated[
         bool, Parameter(help="Leave out splats too faint to be drawn (alpha below 1/255).")
     ] = True,
-    ramp: RampOption = None,
-    covariance: CovarianceOption = None,
-    ease: EaseOption = None,
+    blending: Blending = AS_THEY_ARE,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the morph as PLY files, one a time, and frames.json with the t of each.
@@ -46,8 +43,7 @@ def export(
     export goes on when the same command is given again.
     """
     times = _times(frames, t.values if t else None, bool(t and t.stretch))
-    chosen = {"ramp": ramp, "covariance": covariance, "ease": ease}
-    options = {name: value for name, value in chosen.items() if value is not None}
+    options = blending.chosen()
     source, target = (one.name for one in open_run(run).inputs[:2])
     morph = load_run(run, **options)
     folder = out or Path(f"{run.resolve().name.removesuffix('.run')}-frames")

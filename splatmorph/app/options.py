@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -78,22 +79,72 @@ def _times(type_: Any, tokens: Sequence[Any]) -> Times:
     return Times(values, stretch)
 
 
-SizeOption = Annotated[Size, Parameter(converter=_size, n_tokens=1)]
+SizeOption = Annotated[Size, Parameter(converter=_size, n_tokens=1, accepts_keys=False)]
 ColourOption = Annotated[
-    tuple[float, float, float] | None, Parameter(converter=_colour, n_tokens=1, accepts_keys=False)
+    tuple[float, float, float] | None,
+    Parameter(
+        converter=_colour,
+        n_tokens=1,
+        accepts_keys=False,
+        negative="",
+        help="r,g,b in 0..1 or 0..255, white, black, or transparent.",
+    ),
 ]
 TimesOption = Annotated[
     Times | None,
-    Parameter(name="--t", converter=_times, n_tokens=1, allow_leading_hyphen=True),
+    Parameter(
+        name="--t",
+        converter=_times,
+        n_tokens=1,
+        accepts_keys=False,
+        allow_leading_hyphen=True,
+        help="0.5, a list 0,0.5,1 or a stretch 0:1; 0 is the source, 1 the target.",
+    ),
 ]
-RampOption = Annotated[
-    str | None, Parameter(name="--ramp", help="How opacities fade; linear is the paper's.")
-]
-CovarianceOption = Annotated[
-    str | None,
-    Parameter(name="--covariance", help="What the flow does to shapes; fixed is the paper's."),
-]
-EaseOption = Annotated[str | None, Parameter(name="--ease", help="How time runs.")]
+
+
+DEFAULT_SIZE = Size(512, 512)
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Blending:
+    """How the halves of a morph are blended."""
+
+    ramp: str | None = None
+    """How opacities fade; linear is the paper's."""
+    covariance: str | None = None
+    """What the flow does to shape and shading; fixed is the paper's."""
+    ease: str | None = None
+    """How time runs."""
+
+    def chosen(self) -> dict[str, str]:
+        """The options of ``Morph`` that were given; the others keep their defaults."""
+        options = {"ramp": self.ramp, "covariance": self.covariance, "ease": self.ease}
+        return {name: value for name, value in options.items() if value is not None}
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Viewpoint:
+    """Where the camera goes, and how large its pictures are."""
+
+    size: SizeOption = DEFAULT_SIZE
+    """WIDTHxHEIGHT in pixels."""
+    orbit: float | None = None
+    """Degrees the camera swings to each side; 360 for a full circle."""
+    azimuth: float = 0.0
+    """Degrees from the front where it begins."""
+    elevation: float = 0.0
+    """Degrees above the object."""
+    up: str = "y"
+    """The axis that points up: y, -y, z or -z."""
+    cameras: Path | None = None
+    """A transforms.json of NeRF or nerfstudio, instead of an orbit."""
+
+
+AS_THEY_ARE = Blending()
+FROM_THE_FRONT = Viewpoint()
 
 
 def choose_device(device: str) -> str:

@@ -5,43 +5,47 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
 from renderer import Camera, read_transforms, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
+    AS_THEY_ARE,
+    FROM_THE_FRONT,
+    Blending,
     ColourOption,
-    CovarianceOption,
     Device,
-    EaseOption,
     Out,
     Overwrite,
-    RampOption,
-    Size,
-    SizeOption,
     Times,
     TimesOption,
+    Viewpoint,
     choose_device,
 )
+from splatmorph.avatars import Drive, is_avatar, track_of
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import load_splat
 from splatmorph.rendering import SWING, bounds, there_and_back, turntable
 from splatmorph.rendering import render as render_frame
-from splatmorph.run import MANIFEST, load_run
+from splatmorph.run import load_inputs, morph_of, open_run
 
-DEFAULT_SIZE = Size(512, 512)
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
+WITH_ALPHA = ("", ".png", ".webp")
+FULL_CIRCLE = 360.0
 
 
 @dataclass(frozen=True)
 class Shot:
-    """What is in front of the camera, frame by frame, and the sphere that holds it all."""
+    """What is in front of the camera, frame by frame."""
 
-    frames: Iterator[Gaussians]
+    splats: Iterator[Gaussians]
     extent: tuple[Gaussians, ...]
+    """What must stay in the picture all the time."""
+    swing: float
+    """Degrees that show it well: heads made from single pictures have no back."""
 
 
 def render(
@@ -52,21 +56,13 @@ def render(
     t: TimesOption = None,
     frames: Annotated[int, Parameter(help="How many frames.")] = 120,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
-    size: SizeOption = DEFAULT_SIZE,
-    orbit: Annotated[
-        float | None,
-        Parameter(help="Degrees the camera swings to each side; 360 for full circles."),
-    ] = None,
-    azimuth: Annotated[float, Parameter(help="Degrees from the front where it begins.")] = 0.0,
-    elevation: Annotated[float, Parameter(help="Degrees above the object.")] = 0.0,
-    up: Annotated[str, Parameter(help="The axis that points up: y, -y, z or -z.")] = "y",
-    cameras: Annotated[
-        Path | None, Parameter(help="A transforms.json of NeRF or nerfstudio, instead of --orbit.")
-    ] = None,
+    view: Viewpoint = FROM_THE_FRONT,
     background: ColourOption = (1.0, 1.0, 1.0),
-    ramp: RampOption = None,
-    covariance: CovarianceOption = None,
-    ease: EaseOption = None,
+    blending: Blending = AS_THEY_ARE,
+    drive: Annotated[
+        Path | None,
+        Parameter(help="A FLAME track (flame_param.npz, or an avatar) that moves both avatars."),
+    ] = None,
     device: Device = "cpu",
     overwrite: Overwrite = False,
 ) -> None:
@@ -75,68 +71,81 @@ def render(
     --t 0.5 holds one t; --t 0:1 goes one way. The output's extension chooses: .mp4, .gif, a .png
     for one picture (from the front unless --azimuth says otherwise), or a folder of PNG frames.
     """
-    is_run = what.is_dir() and (what / MANIFEST).exists()
-    path = console.claim(out or Path(f"{what.name.removesuffix(what.suffix)}.mp4"), overwrite)
-    still = path.suffix.lower() in STILLS
+    path = console.claim(out or Path(f"{what.resolve().stem}.mp4"), overwrite)
+    kind = path.suffix.lower()
     if frames < 1 or fps <= 0:
         raise OptionError(f"{frames} frames at {fps} a second: expected at least 1, above 0")
-    count = 1 if still else frames
-    times = _times(t, count, still)
-    if cameras is not None:
-        views = read_transforms(cameras, size=size)
-        views = [views[i * len(views) // count] for i in range(count)]
-    if is_run:
-        chosen = {"ramp": ramp, "covariance": covariance, "ease": ease}
-        morph = load_run(what, **{k: v for k, v in chosen.items() if v is not None})
-        shot = Shot(morph.sequence(times), (morph.source, morph.target))
-    else:
-        splat = load_splat(what).gaussians
-        shot = Shot(iter([splat] * count), (splat,))
-    if cameras is None:
-        degrees = orbit if orbit is not None else SWING if is_run else 360.0
-        views = turntable(
-            bounds(*shot.extent),
-            count,
-            degrees=degrees,
-            azimuth=azimuth,
-            elevation=elevation,
-            up=up,
-            size=size,
-        )
-    _write(path, shot.frames, views, background, fps, choose_device(device))
-
-
-def _times(t: Times | None, count: int, still: bool) -> list[float]:
-    if t is None:
-        return there_and_back(count) if not still else [0.5]
-    if not t.stretch:
-        if len(t.values) not in (1, count):
-            raise OptionError(
-                f"--t lists {len(t.values)} times for {count} frames: give one to hold, a stretch "
-                f"such as 0:1, or --frames {len(t.values)}"
-            )
-        return list(t.values) * (count if len(t.values) == 1 else 1)
-    start, end = t.values
-    return [start + (end - start) * i / max(1, count - 1) for i in range(count)]
-
-
-def _write(
-    path: Path,
-    splats: Iterator[Gaussians],
-    views: Sequence[Camera],
-    background: Sequence[float] | None,
-    fps: float,
-    device: str,
-) -> None:
+    if background is None and kind not in WITH_ALPHA:
+        raise OptionError(f"{path.name} can't be transparent: write a .png or a folder of frames")
+    count = 1 if kind in STILLS else frames
+    shot = _shot(what, t, count, blending.chosen(), drive)
+    cameras = _cameras(view, shot, count)
     with console.progress("rendering") as update:
 
-        def pictures() -> Iterator[object]:
-            for i, (splat, camera) in enumerate(zip(splats, views, strict=True)):
-                yield render_frame(splat, camera, background=background, device=device)
-                update(i + 1, len(views))
+        def pictures() -> Iterator[Any]:
+            for i, (splat, camera) in enumerate(zip(shot.splats, cameras, strict=True)):
+                yield render_frame(
+                    splat, camera, background=background, device=choose_device(device)
+                )
+                update(i + 1, count, "")
 
-        if path.suffix.lower() in STILLS:
-            write_image(path, next(pictures()))
+        if kind in STILLS:
+            written = write_image(path, next(pictures()))
         else:
-            write_video(path, pictures(), fps)
-    console.say(f"wrote {path}")
+            written = write_video(path, pictures(), fps)
+    console.say(f"wrote {written}")
+
+
+def _shot(
+    what: Path, t: Times | None, count: int, blending: dict[str, str], drive: Path | None
+) -> Shot:
+    if not what.is_dir() or is_avatar(what):
+        splat = load_splat(what).gaussians
+        return Shot(iter([splat] * count), (splat,), FULL_CIRCLE)
+    run = open_run(what)
+    inputs = load_inputs(run)
+    times = frame_times(t, count, len(inputs) - 1)
+    extent = tuple(one.gaussians for one in inputs)
+    if drive is None:
+        return Shot(morph_of(run, inputs, **blending).sequence(times), extent, SWING)
+    avatars = [one.avatar for one in inputs]
+    if len(avatars) != 2 or avatars[0] is None or avatars[1] is None:
+        raise OptionError(f"--drive moves rigged avatars, but {what} is a run of other splats")
+    driven = Drive(avatars[0], avatars[1], run.legs[0].flow, track_of(drive), **blending)
+    return Shot(driven.sequence(times), extent, SWING)
+
+
+def _cameras(view: Viewpoint, shot: Shot, count: int) -> Sequence[Camera]:
+    if view.cameras is not None:
+        path = read_transforms(view.cameras, size=view.size)
+        return [path[i * len(path) // count] for i in range(count)]
+    return turntable(
+        bounds(*shot.extent),
+        count,
+        degrees=shot.swing if view.orbit is None else view.orbit,
+        azimuth=view.azimuth,
+        elevation=view.elevation,
+        up=view.up,
+        size=view.size,
+    )
+
+
+def frame_times(t: Times | None, count: int, last: float = 1.0) -> list[float]:
+    """The t of each frame: there and back again by default, one held, or a stretch one way.
+
+    Raises:
+        OptionError: a list whose length is not the number of frames.
+    """
+    if t is None:
+        return there_and_back(count, end=last) if count > 1 else [last / 2]
+    if t.stretch:
+        start, end = t.values
+        return [start + (end - start) * i / max(1, count - 1) for i in range(count)]
+    if len(t.values) == 1:
+        return [t.values[0]] * count
+    if len(t.values) != count:
+        raise OptionError(
+            f"--t lists {len(t.values)} times for {count} frames: give one to hold, a stretch "
+            f"such as 0:1, or --frames {len(t.values)}"
+        )
+    return list(t.values)
