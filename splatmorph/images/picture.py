@@ -70,9 +70,8 @@ class Picture:
         Where ``canvas`` has fewer pixels than the picture, it is reduced to that resolution
         with a filter wide enough that sampling it does not alias.
         """
-        raw = torch.from_numpy(np.ascontiguousarray(self.pixels))
-        planes = raw.permute(2, 0, 1).to(torch.float32).contiguous()
-        planes /= DEPTHS[self.pixels.dtype]
+        values = np.moveaxis(self.pixels, 2, 0).astype(np.float32, order="C")
+        planes = torch.from_numpy(values).div_(DEPTHS[self.pixels.dtype])
         if self.channels == 4:
             planes[:3] *= planes[3]
         own = self.canvas

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, field
 from typing import Protocol
 
-import numpy as np
 import torch
-from scipy.interpolate import CubicSpline
 from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from splatmorph.errors import OptionError
-from splatmorph.flows import Flow
+from splatmorph.flows import Conjugate, Flow, Node
 from splatmorph.images.canvas import Canvas
+from splatmorph.images.lattice import Lattice, LatticeMap, tabulated
 
 EDGES = {"edge": "border", "reflect": "reflection", "zero": "zeros"}
 """What lies beyond a picture -> grid_sample's word: its last pixel, its mirror image, nothing."""
@@ -26,7 +24,14 @@ INTERPOLATIONS = ("bilinear", "bicubic")
 COARSEST, FINEST = 32.0, 2.0
 """Pixels between the nodes of a lattice, the range that is tried."""
 
-PROBES = 2048
+PROBES = 1024
+ENDS = (-1.0, 1.0)
+TRUE_FLOWS = (Node, Conjugate)
+"""The kinds that are the integral of their velocity; the baselines are not."""
+
+MARGIN, FARTHEST = 1.1, 3.0
+"""A table of velocities covers what the paths reach, and a tenth more, up to three canvases."""
+
 BLOCK = 1 << 28
 """Bytes of lattice positions held at once; a longer sequence is integrated in stretches."""
 
@@ -55,58 +60,15 @@ class Warp(Protocol):
 
 
 @dataclass(frozen=True)
-class Lattice:
-    """Nodes over a canvas, a few pixels apart, and the spline through values on them.
+class Route:
+    """How the paths of a canvas's pixels are found, and how well."""
 
-    The spline is the tensor product of cubic not-a-knot splines: exact for cubics, so the
-    positions of an affine warp come out exact and those of a smooth one to fourth order.
-    """
-
-    canvas: Canvas
-    spacing: float
-    """Pixels between nodes, at most."""
-
-    def _axis(self, pixels: int) -> tuple[np.ndarray, Tensor]:
-        nodes = np.linspace(0, pixels, max(4, math.ceil(pixels / self.spacing) + 1))
-        spline = CubicSpline(nodes, np.eye(len(nodes)))
-        weights = spline(np.arange(pixels) + 0.5)
-        return nodes, torch.from_numpy(weights).to(torch.float32)
-
-    @cached_property
-    def _axes(self) -> tuple[np.ndarray, Tensor, np.ndarray, Tensor]:
-        return *self._axis(self.canvas.width), *self._axis(self.canvas.height)
-
-    @cached_property
-    def shape(self) -> tuple[int, int]:
-        """Nodes down and across."""
-        return len(self._axes[2]), len(self._axes[0])
-
-    @cached_property
-    def points(self) -> Tensor:
-        """The nodes in the plane, (down · across, 2) float64."""
-        x, _, y, _ = self._axes
-        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return self.canvas.to_world(torch.from_numpy(nodes))
-
-    def interpolate(self, values: Tensor, first: int, last: int) -> Tensor:
-        """Values (down, across, 2) on the nodes -> on the pixels of some rows (rows, width, 2)."""
-        _, columns, _, rows = self._axes
-        down, across = self.shape
-        part = rows[first:last] @ values.reshape(down, -1)
-        return torch.einsum("xw,ywc->yxc", columns, part.view(-1, across, 2))
-
-
-@dataclass(frozen=True)
-class LatticeMap:
-    """A map known on the nodes of a lattice."""
-
+    flow: Flow
+    """The flow itself, or a table of its velocity."""
     lattice: Lattice
-    values: Tensor
-    """(down, across, 2) float32 world positions."""
-
-    def band(self, first: int, last: int) -> Tensor:
-        """As ``PixelMap.band``."""
-        return self.lattice.interpolate(self.values, first, last)
+    """Where the paths begin."""
+    error: float
+    """The largest distance to the flow's own positions found at t = ±1, in pixels."""
 
 
 @dataclass(frozen=True)
@@ -114,57 +76,62 @@ class FlowWarp:
     """The inverse warp by a flow: at t the source is read at Φ(x, -t), the target at Φ(x, 1 - t).
 
     The paper's I^i(x, t) = I^i(Φ(x, i - t)). The flow is followed from the nodes of a lattice,
-    once for all times, and interpolated between them. The lattice is the coarsest whose
-    positions are within ``tolerance`` of the integrated ones.
+    once for all times, and interpolated between them; a flow that is the integral of its
+    velocity is followed through a table of it. Lattice and table are the coarsest whose
+    positions are within ``tolerance`` of the flow's own.
     """
 
     flow: Flow
     tolerance: float = 0.05
     """The largest error allowed, in pixels of the output."""
+    _routes: dict[Canvas, Route] = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def maps(self, canvas: Canvas, times: Sequence[float]) -> Iterator[tuple[PixelMap, PixelMap]]:
         """As ``Warp.maps``."""
-        reach = sorted({s for t in times for s in (-t, 1 - t)}, key=abs)[-2:]
-        lattice, _ = self.lattice(canvas, reach)
-        block = max(1, BLOCK // (2 * lattice.points.nbytes))
+        route = self.route(canvas)
+        start = route.lattice.points.to(torch.float32)
+        block = max(1, BLOCK // (2 * start.nbytes))
         for begin in range(0, len(times), block):
             part = times[begin : begin + block]
-            positions = self.flow.trajectory(
-                lattice.points, [-t for t in part] + [1 - t for t in part]
-            )
-            values = positions.to(torch.float32).view(2, len(part), *lattice.shape, 2)
-            for source, target in zip(*values, strict=True):
-                yield LatticeMap(lattice, source), LatticeMap(lattice, target)
+            both = [-t for t in part] + [1 - t for t in part]
+            positions = route.flow.trajectory(start, both).unflatten(0, (2, len(part)))
+            for source, target in zip(*positions, strict=True):
+                yield LatticeMap(route.lattice, source), LatticeMap(route.lattice, target)
 
     def carry(self, points: Tensor, t: float) -> Tensor:
         """As ``Warp.carry``."""
         return self.flow(points, t)
 
-    def lattice(
-        self, canvas: Canvas, times: Sequence[float] = (-1.0, 1.0)
-    ) -> tuple[Lattice, float]:
-        """The lattice for this canvas and its largest error found at ``times``, in pixels.
+    def route(self, canvas: Canvas) -> Route:
+        """How this canvas is warped, found once.
 
-        The error is that of the interpolation alone, against the flow at ``PROBES`` pixels
-        drawn with a fixed seed. Where even the finest lattice misses the tolerance it is
-        returned all the same, with its error.
+        The error is measured at ``PROBES`` pixels drawn with a fixed seed. Where even the
+        finest lattice misses the tolerance it is taken all the same, with its error.
         """
+        if canvas not in self._routes:
+            self._routes[canvas] = self._find_route(canvas)
+        return self._routes[canvas]
+
+    def _find_route(self, canvas: Canvas) -> Route:
         generator = torch.Generator().manual_seed(0)
         x = torch.randint(canvas.width, (PROBES,), generator=generator)
         y = torch.randint(canvas.height, (PROBES,), generator=generator)
-        probes = canvas.to_world(torch.stack([x, y], dim=1) + 0.5).to(torch.float64)
-        exact = self.flow.trajectory(probes, times).to(torch.float32)
+        probes = canvas.to_world(torch.stack([x, y], dim=1).to(torch.float64) + 0.5)
+        exact = self.flow.trajectory(torch.cat([probes, canvas.border(4)]), ENDS)
+        reach = float((exact.abs().amax((0, 1)) / torch.tensor(canvas.half)).max())
+        reach = MARGIN * min(max(1.0, reach), FARTHEST)
         spacing = COARSEST
         while True:
             lattice = Lattice(canvas, spacing)
-            values = self.flow.trajectory(lattice.points, times).to(torch.float32)
-            found = [
-                lattice.interpolate(value.view(*lattice.shape, 2), 0, canvas.height)[y, x]
-                for value in values
-            ]
-            error = float((torch.stack(found) - exact).norm(dim=-1).max()) / canvas.pixel
-            if error <= self.tolerance or spacing <= FINEST:
-                return lattice, error
+            exists = isinstance(self.flow, TRUE_FLOWS)
+            flow = tabulated(self.flow, canvas, spacing, reach) if exists else self.flow
+            values = flow.trajectory(lattice.points.to(torch.float32), ENDS)
+            missed = (lattice.at_pixels(values, x, y) - exact[:, :PROBES]).norm(dim=-1)
+            route = Route(flow, lattice, float(missed.max()) / canvas.pixel)
+            if route.error <= self.tolerance or spacing <= FINEST:
+                return route
             spacing /= 2
 
 
