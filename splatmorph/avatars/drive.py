@@ -64,8 +64,9 @@ class Drive:
         for avatar in (source, target):
             if not avatar.is_canonical:
                 raise OptionError(
-                    f"{avatar.name} was fitted {avatar.posed}, but a track drives heads from the "
-                    "canonical pose: fit again without --frame, --pose-from and --mesh"
+                    f"{avatar.name} was fitted in another pose ({avatar.posed}), but a track "
+                    "drives heads from the canonical one: fit again without --frame, --pose-from "
+                    "and --mesh"
                 )
         self.track = track
         self.flow = flow

@@ -24,6 +24,10 @@ from splatmorph.avatars import (
 )
 from splatmorph.avatars.flame import Flame
 from splatmorph.errors import LocalFrameError, OptionError, ReadError
+from splatmorph.fit import fit
+from splatmorph.flows import make_flow
+from splatmorph.landmarks import Landmarks
+from splatmorph.morph import Morph
 
 MESH = {"vertices": 5023, "faces": 9976}
 
@@ -404,3 +408,17 @@ def test_real_heads_come_back(shared_data: Path, name: str) -> None:
     apart = torch.minimum((found - wanted).norm(dim=1), (found + wanted).norm(dim=1))
     # The mesh is stored as float32, which turns the smallest triangles by as much.
     assert torch.rad2deg(4 * torch.asin(apart / 2)).max() < 1.1e-4
+
+
+def test_real_avatars_morph_as_their_plain_heads(shared_data: Path) -> None:
+    landmarks = [shared_data / "heads" / f"{n}.landmarks.json" for n in ("james", "status")]
+    morphs = []
+    for pair in (
+        [load_avatar(shared_data / "avatars" / n).gaussians for n in ("james", "status")],
+        [io.read(shared_data / "heads" / f"{n}.ply") for n in ("james", "status")],
+    ):
+        flow = make_flow("node", 3)
+        fit(flow, *(Landmarks.read(path) for path in landmarks))
+        morphs.append(Morph(pair[0], pair[1], flow).at(0.5))
+    torch.testing.assert_close(morphs[0].means, morphs[1].means, rtol=0, atol=1e-6)
+    torch.testing.assert_close(morphs[0].opacity_logits, morphs[1].opacity_logits)

@@ -6,7 +6,7 @@ import flame_twin
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
@@ -42,6 +42,7 @@ def _rotation(quats: torch.Tensor) -> Rotation:
     return Rotation.from_quat(quats[:, [1, 2, 3, 0]].numpy())
 
 
+@settings(max_examples=25, deadline=None)
 @given(seed=SEEDS)
 def test_baking_agrees_with_the_twin(seed: int) -> None:
     vertices, faces = _triangles(8, seed)
@@ -60,6 +61,7 @@ def test_baking_agrees_with_the_twin(seed: int) -> None:
         assert (turn.inv() * _rotation(world.quats[i : i + 1])).magnitude() < 1e-9
 
 
+@settings(max_examples=25, deadline=None)
 @given(seed=SEEDS)
 def test_there_and_back(seed: int) -> None:
     frames = triangle_frames(*_triangles(20, seed))
@@ -81,6 +83,7 @@ def test_there_and_back_in_the_precision_of_a_file() -> None:
     torch.testing.assert_close(again.log_scales, world.log_scales, rtol=1e-6, atol=1e-6)
 
 
+@settings(max_examples=25, deadline=None)
 @given(seed=SEEDS)
 def test_carrying_from_one_pose_to_another_is_unbinding_and_binding(seed: int) -> None:
     before = triangle_frames(*_triangles(10, seed))
@@ -93,6 +96,7 @@ def test_carrying_from_one_pose_to_another_is_unbinding_and_binding(seed: int) -
     assert (_rotation(carried.quats).inv() * _rotation(bound.quats)).magnitude().max() < 1e-9
 
 
+@settings(max_examples=25, deadline=None)
 @given(seed=SEEDS, angles=hnp.arrays(np.float64, 3, elements=st.floats(-3, 3)))
 def test_frames_go_with_the_mesh(seed: int, angles: np.ndarray) -> None:
     vertices, faces = _triangles(5, seed)

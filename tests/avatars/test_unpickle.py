@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import scipy.sparse
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -34,6 +34,7 @@ class _Runs:
         return self.call[0], self.call[1:]
 
 
+@settings(max_examples=40, deadline=None)
 @given(
     array=hnp.arrays(
         st.sampled_from([np.float64, np.float32, np.int64, np.uint32, np.bool_]),
