@@ -100,11 +100,11 @@ class VelocityTable(nn.Module):
         lattice = Lattice(own, FINER)
         velocities = flow.velocity(lattice.points * reach).to(torch.float32)
         self.table = lattice.interpolate(velocities).permute(2, 0, 1)[None].contiguous()
-        self.half = torch.tensor([reach, -reach]) * torch.tensor(own.half)
+        self.extent = torch.tensor([reach, -reach]) * torch.tensor(own.half)
 
     def forward(self, x: Tensor) -> Tensor:
         """v: (m, 2) -> (m, 2); beyond the table as on its border."""
-        grid = (x.to(torch.float32) / self.half)[None, None]
+        grid = (x.to(torch.float32) / self.extent)[None, None]
         found = grid_sample(self.table, grid, padding_mode="border", align_corners=False)
         return found[0, :, 0].T.to(x)
 

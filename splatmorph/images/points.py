@@ -49,9 +49,10 @@ def read_points(path: str | Path, canvas: Canvas, convention: str | None = None)
         OptionError: an unknown convention.
     """
     path = Path(path)
-    fixed = _FIXED.get(path.suffix.lower())
-    if fixed is not None:
-        said, found = "pixels-xy", Landmarks(torch.from_numpy(fixed(path)))
+    said: str | None
+    if path.suffix.lower() in _FIXED:
+        rows = _FIXED[path.suffix.lower()](path)
+        said, found = "pixels-xy", Landmarks(torch.from_numpy(rows))
     else:
         said, found = _said(path), Landmarks.read(path, dim=2)
     points = _from_convention(found.points, canvas, _agreed(path, said, convention))
@@ -95,12 +96,13 @@ def beside(picture: str | Path) -> Path | None:
 def with_anchors(
     source: Landmarks, target: Landmarks, canvases: tuple[Canvas, Canvas], per_side: int
 ) -> tuple[Landmarks, Landmarks]:
-    """The matched pairs and anchors: points of the border that stay where they are.
+    """The matched pairs, ``merged``, and anchors: points of the border that stay where they are.
 
     ``per_side`` steps a side: 1 anchors the four corners, 0 nothing. Between frames of
     different aspect the corners go to corners, so the picture is stretched.
     """
-    p, q, names = merged(source, target)[0].match(merged(source, target)[1])
+    source, target = merged(source, target)
+    p, q, names = source.match(target)
     if per_side == 0:
         return Landmarks(p, names), Landmarks(q, names)
     anchors = [canvas.border(per_side) for canvas in canvases]
@@ -112,24 +114,22 @@ def with_anchors(
 
 
 def merged(source: Landmarks, target: Landmarks) -> tuple[Landmarks, Landmarks]:
-    """The pairs of both sets, those that lie within ``SAME`` in both pictures made one, their mean.
+    """The common pairs; those that lie within ``SAME`` in both pictures made one, their mean.
 
     Annotations are rounded to pixels, and the lips of a closed mouth are one line: there two
     points of one picture fall together whose partners lie a pixel or two apart. No flow can part
     them. Pairs that lie apart in one picture only are left to ``Landmarks.match`` to refuse.
+
+    Raises:
+        LandmarkError: the sets don't match.
     """
     p, q, names = _paired(source, target)
-    near = [torch.cdist(points, points) < 2 * SAME for points in (p, q)]
-    _, group = connected_components(csr_array((near[0] & near[1]).numpy()), directed=False)
-    groups = torch.from_numpy(group).long()
-    count = torch.bincount(groups).to(p)[:, None]
-    means = [
-        torch.zeros_like(count * side[:1]).index_add(0, groups, side) / count for side in (p, q)
-    ]
-    kept = [
-        "+".join(names[i] for i in (groups == g).nonzero().flatten()) for g in range(len(count))
-    ]
-    return Landmarks(means[0], tuple(kept)), Landmarks(means[1], tuple(kept))
+    near = (torch.cdist(p, p) < 2 * SAME) & (torch.cdist(q, q) < 2 * SAME)
+    count, group = connected_components(csr_array(near.numpy()), directed=False)
+    share = torch.nn.functional.one_hot(torch.from_numpy(group).long(), count).T.to(p)
+    share /= share.sum(1, keepdim=True)
+    joint = tuple("+".join(names[i] for i in row.nonzero().flatten()) for row in share)
+    return Landmarks(share @ p, joint), Landmarks(share @ q, joint)
 
 
 def _paired(source: Landmarks, target: Landmarks) -> tuple[Tensor, Tensor, Sequence[str]]:
@@ -137,11 +137,15 @@ def _paired(source: Landmarks, target: Landmarks) -> tuple[Tensor, Tensor, Seque
         if len(source) != len(target):
             source.match(target)  # says what is wrong with the counts
         return source.points, target.points, [str(i) for i in range(len(source))]
-    common = [name for name in source.names if name in set(target.names)]
+    places = [{name: i for i, name in enumerate(names)} for names in (source.names, target.names)]
+    common = [name for name in source.names if name in places[1]]
     if not common:
-        source.match(target)
-    sides = [side.points[[side.names.index(name) for name in common]] for side in (source, target)]
-    return sides[0], sides[1], common
+        source.match(target)  # says that no name is common
+    p, q = (
+        side.points[[place[name] for name in common]]
+        for side, place in zip((source, target), places, strict=True)
+    )
+    return p, q, common
 
 
 def checked(landmarks: Landmarks, canvas: Canvas, origin: str) -> Landmarks:
