@@ -7,15 +7,27 @@ itself, bit for bit, or gone.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from types import MappingProxyType
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
 from splatmorph.gaussians import Gaussians
+
+DENSEST = 0.99
+"""Renderers draw no splat more opaque than this."""
+
+FAINTEST = 1 / 255
+"""Renderers skip what is less opaque than this."""
+
+STEPS = 256
+"""Intervals of the tables of ``calibrated``."""
 
 Ramp = Callable[[Gaussians, float], Gaussians]
 Ease = Callable[[float], float]
@@ -33,10 +45,73 @@ def scaled_logits(logits: Tensor, log_factor: Tensor) -> Tensor:
 
 
 def linear(gaussians: Gaussians, weight: float) -> Gaussians:
-    """The paper's ramp (eq. 7): the opacity α becomes w·α."""
-    logits = gaussians.opacity_logits
-    log_weight = torch.tensor(weight, dtype=logits.dtype, device=logits.device).log()
-    return replace(gaussians, opacity_logits=scaled_logits(logits, log_weight))
+    """The paper's ramp (eq. 7): the opacity α becomes w·α.
+
+    Two such copies of one surface are thinner than the surface: 1 - (1 - wα)(1 - (1-w)α) < α.
+    """
+    return _scaled(gaussians, torch.full_like(gaussians.opacity_logits, math.log(weight)))
+
+
+def power(gaussians: Gaussians, weight: float) -> Gaussians:
+    """The opacity α becomes 1 - (1 - α)^w: the transmittances of the halves multiply to 1 - α.
+
+    So the peak of a splat is kept, but its flanks, where α is small, swell.
+    """
+    drawn = _drawn_opacities(gaussians)
+    return _scaled(gaussians, (-torch.expm1(weight * torch.log1p(-drawn)) / drawn).log())
+
+
+def calibrated(gaussians: Gaussians, weight: float) -> Gaussians:
+    """A splat morphed into itself looks like itself: opacities fade and splats narrow.
+
+    With G the Gaussian's profile, the profile 1 - (1 - αG)^w would be exact: two copies with
+    weights w and 1 - w then let through (1 - αG)^w (1 - αG)^(1-w) = 1 - αG everywhere. It is no
+    Gaussian; this ramp gives each splat the Gaussian a·G^k of the same integral and the same
+    variance over the picture. Since renderers skip what is fainter than 1/255, two copies lose
+    their edges twice: the lost rim is given back by raising faint splats by 1/255, as far as
+    neither copy exceeds its α.
+    """
+    drawn = _drawn_opacities(gaussians)
+    factor, narrowing = _interpolated(_best_gaussians(weight), drawn)
+    other, _ = _interpolated(_best_gaussians(1 - weight), drawn)
+    factor = torch.minimum(factor * (1 + FAINTEST / drawn), factor / other).clamp_max(1)
+    faded = _scaled(gaussians, factor.log())
+    return replace(faded, log_scales=faded.log_scales - 0.5 * narrowing.log()[:, None])
+
+
+@lru_cache(maxsize=16)
+def _best_gaussians(weight: float) -> Tensor:
+    """a/α and k of ``calibrated`` for α = 0 … DENSEST in equal steps: (2, STEPS + 1) float64.
+
+    Over the plane the area element is dx for G = e⁻ˣ, so the Gaussian a·G^k has the integral a/k
+    and the variance 1/k. Those of f(G) = 1 - (1 - αG)^w are integrals over G in (0, 1) with
+    dx = -dG/G, by Gauss-Legendre in s with 1 - G = (1 - s²)², which smooths both ends.
+    """
+    nodes, weights = (torch.from_numpy(array) for array in np.polynomial.legendre.leggauss(24))
+    s = 0.5 * (nodes + 1)
+    profile = 1 - (1 - s**2) ** 2
+    step = 2 * weights * s * (1 - s**2) / profile
+    alpha = torch.linspace(0, DENSEST, STEPS + 1, dtype=torch.float64).clamp_min(1e-6)
+    faded = -torch.expm1(weight * torch.log1p(-alpha[:, None] * profile))
+    integral = (faded * step).sum(1)
+    variance = (faded * step * -profile.log()).sum(1) / integral
+    return torch.stack([integral / variance / alpha, 1 / variance])
+
+
+def _interpolated(table: Tensor, alpha: Tensor) -> Tensor:
+    """Columns of (2, STEPS + 1) at α in [0, DENSEST]: (n,) -> (2, n)."""
+    place = alpha * (STEPS / DENSEST)
+    left = place.floor().long().clamp_max(STEPS - 1)
+    return torch.lerp(table[:, left].to(alpha), table[:, left + 1].to(alpha), place - left)
+
+
+def _drawn_opacities(gaussians: Gaussians) -> Tensor:
+    """(n,) opacities as renderers take them: more than DENSEST is DENSEST."""
+    return gaussians.opacities.clamp(torch.finfo(torch.float32).tiny, DENSEST)
+
+
+def _scaled(gaussians: Gaussians, log_factor: Tensor) -> Gaussians:
+    return replace(gaussians, opacity_logits=scaled_logits(gaussians.opacity_logits, log_factor))
 
 
 def smoothstep(t: float) -> float:
@@ -49,7 +124,9 @@ def smootherstep(t: float) -> float:
     return t**3 * (t * (6 * t - 15) + 10) if 0 < t < 1 else t
 
 
-RAMPS: Mapping[str, Ramp] = MappingProxyType({"linear": linear})
+RAMPS: Mapping[str, Ramp] = MappingProxyType(
+    {"linear": linear, "power": power, "calibrated": calibrated}
+)
 """The ramps by name."""
 
 EASES: Mapping[str, Ease] = MappingProxyType(
