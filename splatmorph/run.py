@@ -4,7 +4,7 @@ morph.json         the inputs (path, sha256, how they were posed), landmarks, op
 flow.safetensors   the flows' weights and frames
 history.csv        the fit, step by step
 report.json        what the fit achieved
-state.safetensors  only while a fit is unfinished: what --resume goes on from
+state.safetensors  only where a fit was interrupted: what --resume goes on from
 """
 
 from __future__ import annotations
@@ -130,7 +130,8 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         },
     }
     _write_json(folder / MANIFEST, manifest)
-    (folder / STATE).unlink(missing_ok=True)
+    if not any(report.interrupted for report in reports):
+        (folder / STATE).unlink(missing_ok=True)
     return folder
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
+from splatmorph.run import open_run
 
 MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
@@ -196,6 +198,34 @@ def test_an_export_that_was_killed_goes_on(
     cli("export", fitted, "--frames", 6, "-o", "out2")
     monkeypatch.setattr(io, "write", genuine)
     failed(cli("export", fitted, "--frames", 5, "-o", "out2"), "holds frames already")
+
+
+def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
+    pair: tuple[Path, Path], cli: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    training = ("fit", *pair, "--field", "siren", "--steps", 80)
+    assert cli(*training, "-o", "whole.run")[0] == 0
+
+    @contextlib.contextmanager
+    def impatient(what: str) -> Iterator[Callable[[int, int, str], None]]:
+        def update(done: int, total: int, note: str = "") -> None:
+            if done >= 40:
+                raise KeyboardInterrupt
+
+        yield update
+
+    with monkeypatch.context() as patched:
+        patched.setattr(console, "progress", impatient)
+        code, _, err = cli(*training, "-o", "cut.run")
+    assert code == 0
+    assert "interrupted: the best flow so far is kept" in err
+    assert open_run("cut.run").legs[0].report["interrupted"]
+    failed(cli(*training, "-o", "cut.run", "--seed", 1, "--resume"), "other inputs or options")
+    assert cli(*training, "-o", "cut.run", "--resume")[0] == 0
+    ends = [open_run(name).legs[0].flow.state_dict() for name in ("whole.run", "cut.run")]
+    for name, value in ends[0].items():
+        assert torch.equal(ends[1][name], value), name
+    failed(cli(*training, "-o", "cut.run", "--resume"), "nothing is left to --resume")
 
 
 # Bad input ----------------------------------------------------------------------------------

@@ -115,8 +115,11 @@ def _load_pair(
 
 def _claim_run(folder: Path, asked: str, resume: bool, overwrite: bool) -> FitState | None:
     finished = (folder / MANIFEST).is_file()
-    if resume and not finished:
-        return load_state(folder, asked)
+    if resume:
+        state = load_state(folder, asked)
+        if state is None and finished:
+            raise OutputExistsError(f"{folder} is finished, nothing is left to --resume")
+        return state
     if finished and not overwrite:
         raise OutputExistsError(
             f"{folder} is a finished run: give -w to fit it anew, or -o to write elsewhere"
@@ -179,7 +182,7 @@ def summarise(folder: Path, loaded: Sequence[Loaded], report: FitReport) -> None
     names = " → ".join(one.name for one in loaded)
     counts = " + ".join(f"{len(one.gaussians):,}" for one in loaded)
     if report.interrupted:
-        console.warn("interrupted: the best flow so far is kept; --resume -w goes on from there")
+        console.warn("interrupted: the best flow so far is kept; the same command with --resume goes on")
     console.say(f"{names}: {counts} splats, {report.landmarks} landmarks, {report.seconds:.2f} s")
     console.say(error_table(report))
     laws: dict[str, Any] = report.to_dict()["laws"]
