@@ -10,7 +10,10 @@ import warp as wp
 
 from renderer import reference
 
-wp.config.quiet = True  # a library prints nothing
+if hasattr(wp.config, "log_level"):
+    wp.config.log_level = wp.LOG_ERROR  # a library prints nothing
+else:
+    wp.config.quiet = True
 wp.set_module_options({"enable_backward": False})
 
 TILE = wp.constant(16)

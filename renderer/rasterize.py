@@ -32,6 +32,7 @@ def rasterize(
     far: float = 1e10,
     sh_degree: int | None = None,
     device: str = "cpu",
+    threads: int | None = None,
 ) -> tuple[Any, Any, Any]:
     """Render Gaussian splats by EWA splatting (Zwicker et al. 2001; Kerbl et al. 2023).
 
@@ -50,6 +51,7 @@ def rasterize(
         near, far: splats whose center is not between these depths are not drawn.
         sh_degree: use the bands up to this degree; all by default.
         device: "cpu", or "cuda:0" and the like.
+        threads: how many draw on a CPU, all cores by default; never changes the picture.
 
     Returns ``rgb`` (height, width, 3), ``alpha`` (height, width) and ``depth`` (height, width):
     the mean distance along the viewing axis, weighted by what each splat adds to the pixel,
@@ -72,13 +74,18 @@ def rasterize(
     behind = np.zeros(3) if background is None else np.asarray(background, np.float64)
     if behind.shape != (3,) or not np.isfinite(behind).all():
         raise ArgumentError(f"background is {background!r}, expected three finite numbers, RGB")
+    if threads is not None and threads < 1:
+        raise ArgumentError(f"threads is {threads}, expected at least 1")
     viewmats, Ks = _checked_cameras(viewmat, K)
 
-    from renderer import portable
+    from renderer import native, portable
 
     size, depths = (int(width), int(height)), (float(near), float(far))
     views = [portable.view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
-    pictures = portable.render(scene, degree, views, behind, device)
+    if device == "cpu" and native.is_available():
+        pictures = native.render(scene, degree, views, behind, threads)
+    else:
+        pictures = portable.render(scene, degree, views, behind, device)
     single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
     rgb, alpha, depth = (_like(means, picture[0] if single else picture) for picture in pictures)
     return rgb, alpha, depth

@@ -1,0 +1,137 @@
+"""The rasterizer for CPUs: C++ with vector types, compiled by Warp's own compiler.
+
+The headers beside this file are the body of one function, in the order of ``kernel.PIECES``.
+A launch runs on one thread, so a frame is one launch on each thread of a pool, and the
+launches share the frame's tasks (``frame.h``). The memory of a frame is kept for the next one.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+import numpy as np
+import warp as wp
+from numpy.typing import NDArray
+
+from renderer.kernels import View
+from renderer.native import kernel
+
+Array = NDArray[Any]
+
+SPLAT_FLOATS = 16
+TILE_FLOATS = 5 * kernel.COLUMN * kernel.ROWS
+STATE_WORDS = 64
+LIST_ENTRIES = 1 << 22
+"""Entries of the tile lists at a time, 16 bytes each with their sorted copy."""
+
+_drawing = threading.Lock()
+
+
+@functools.cache
+def is_available() -> bool:
+    """Whether Warp's compiler knows the vector types and built-ins the headers use."""
+    try:
+        wp.load_module(kernel, device="cpu")
+    except Exception:
+        return False
+    return bool(kernel.draw.module.execs)
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+class _Memory:
+    """The arrays of a frame, grown as needed and kept."""
+
+    def __init__(self) -> None:
+        self.arrays: dict[str, wp.array] = {}
+
+    def fit(self, n: int, tiles: int) -> kernel.Memory:
+        part_entries = max(LIST_ENTRIES // kernel.PARTS, tiles)
+        sizes = {
+            "state": STATE_WORDS,
+            "splats": n * SPLAT_FLOATS,
+            "keys": 2 * n,
+            "ids": 2 * n,
+            "digits": kernel.PARTS << kernel.RADIX_BITS,
+            "counts": kernel.PARTS * tiles,
+            "starts": tiles + 1,
+            "lists": kernel.PARTS * part_entries,
+            "entries": kernel.PARTS * part_entries,
+            "kept": tiles * TILE_FLOATS,
+            "open_rows": 4 * tiles,
+        }
+        memory = kernel.Memory()
+        for name, size in sizes.items():
+            dtype = kernel.Memory.vars[name].type.dtype
+            array = self.arrays.get(name)
+            if array is None or len(array) < size:
+                array = self.arrays[name] = _aligned(size, dtype)
+            setattr(memory, name, array)
+        return memory
+
+
+def _aligned(size: int, dtype: Any) -> wp.array:
+    """An uninitialised array at the start of a cache line."""
+    raw = np.empty(size * wp.types.type_size_in_bytes(dtype) + 64, np.uint8)
+    skip = -raw.ctypes.data % 64
+    numbers = raw[skip : len(raw) - 64 + skip].view(wp.dtype_to_numpy(dtype))
+    return wp.array(numbers, dtype=dtype, copy=False, device="cpu")
+
+
+_memory = _Memory()
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, "rasterize")
+
+
+def render(
+    scene: Mapping[str, Array],
+    degree: int,
+    views: Sequence[View],
+    background: Array,
+    threads: int | None = None,
+) -> tuple[Array, Array, Array]:
+    """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size."""
+    n, coefficients = scene["sh"].shape[:2]
+    arrays = [_flat(array) for array in scene.values()]
+    height, width = views[0].height, views[0].width
+    shape = (len(views), height, width)
+    rgb = np.empty((*shape, 3), np.float32)
+    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    tiles = -(-width // kernel.COLUMN) * -(-height // kernel.ROWS)
+    with _drawing:
+        memory = _memory.fit(n, tiles)
+        for i, view in enumerate(views):
+            outputs = [_flat(picture[i]) for picture in (rgb, alpha, depth)]
+            inputs = [n, coefficients, degree, view, wp.vec3(*background.tolist()), memory]
+            _draw([*arrays, *inputs, *outputs], memory, threads or cores())
+    return rgb, alpha, depth
+
+
+def _flat(array: Array) -> wp.array:
+    return wp.array(array.reshape(-1), dtype=float, copy=False, device="cpu")
+
+
+def _draw(inputs: Sequence[Any], memory: kernel.Memory, threads: int) -> None:
+    memory.state.numpy()[:] = 0
+    memory.state.numpy()[0] = kernel.PARTS << 28
+    launch = functools.partial(wp.launch, kernel.draw, 1, inputs, device="cpu")
+    others = [_pool(threads - 1).submit(launch) for _ in range(threads - 1)]
+    try:
+        launch()
+    finally:
+        wait(others)
+    for other in others:
+        other.result()

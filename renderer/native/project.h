@@ -1,0 +1,89 @@
+// Rows i to i + 15 of an (n, stride) array; the last block is completed with zeros.
+auto block = [&](const float* rows, int stride, int i, float* spare) -> const float* {
+    if (i + LANES <= n) return rows + (long)i * stride;
+    for (int k = 0; k < LANES * stride; ++k)
+        spare[k] = k < (n - i) * stride ? rows[(long)i * stride + k] : 0.f;
+    return spare;
+};
+
+// EWA projection of the splats of one part; the visible ones are listed with their depth.
+auto project_part = [&](int part) {
+    #pragma clang fp contract(fast)
+    const auto& V = view.viewmat.data;
+    const int begin = part * part_size, end = begin + part_size < n ? begin + part_size : n;
+    unsigned* key = keys[0] + begin;
+    int* id = ids[0] + begin;
+    unsigned lowest = ~0u, highest = 0;
+    int count = 0;
+    for (int i = begin; i < end; i += LANES) {
+        float spare[4][4 * LANES];
+        const float* p = block(means, 3, i, spare[0]);
+        const Floats x = pick(p, 3), y = pick(p + 1, 3), z = pick(p + 2, 3);
+        const Floats depth = V[2][0] * x + V[2][1] * y + V[2][2] * z + V[2][3];
+        const Floats inverse = 1.f / larger(depth, all(view.near));
+        const Floats slope_x = (V[0][0] * x + V[0][1] * y + V[0][2] * z + V[0][3]) * inverse;
+        const Floats slope_y = (V[1][0] * x + V[1][1] * y + V[1][2] * z + V[1][3]) * inverse;
+        const Floats bent_x = smaller(larger(slope_x, all(view.slope_min[0])), all(view.slope_max[0]));
+        const Floats bent_y = smaller(larger(slope_y, all(view.slope_min[1])), all(view.slope_max[1]));
+        const Floats fx = view.focal[0] * inverse, fy = view.focal[1] * inverse;
+
+        p = block(quats, 4, i, spare[1]);
+        Floats qw = pick(p, 4), qx = pick(p + 1, 4), qy = pick(p + 2, 4), qz = pick(p + 3, 4);
+        const Floats norm = qw * qw + qx * qx + qy * qy + qz * qz;
+        const Floats two = 2.f / norm;
+        const Floats xx = two * qx * qx, yy = two * qy * qy, zz = two * qz * qz;
+        const Floats xy = two * qx * qy, xz = two * qx * qz, yz = two * qy * qz;
+        const Floats wx = two * qw * qx, wy = two * qw * qy, wz = two * qw * qz;
+        const Floats rotation[3][3] = {{1.f - yy - zz, xy - wz, xz + wy},
+                                       {xy + wz, 1.f - xx - zz, yz - wx},
+                                       {xz - wy, yz + wx, 1.f - xx - yy}};
+        p = block(scales, 3, i, spare[2]);
+        Floats u[3], v[3];
+        for (int axis = 0; axis < 3; ++axis) {
+            const Floats s = pick(p + axis, 3);
+            u[axis] = v[axis] = all(0.f);
+            for (int k = 0; k < 3; ++k) {
+                const Floats r = rotation[k][axis] * s;
+                u[axis] += (V[0][k] - bent_x * V[2][k]) * fx * r;
+                v[axis] += (V[1][k] - bent_y * V[2][k]) * fy * r;
+            }
+        }
+        const Floats cov_xx = u[0] * u[0] + u[1] * u[1] + u[2] * u[2] + BLUR;
+        const Floats cov_xy = u[0] * v[0] + u[1] * v[1] + u[2] * v[2];
+        const Floats cov_yy = v[0] * v[0] + v[1] * v[1] + v[2] * v[2] + BLUR;
+        // |u × v|² keeps the determinant of a needle, where xx·yy - xy² would cancel.
+        const Floats n0 = u[1] * v[2] - u[2] * v[1], n1 = u[2] * v[0] - u[0] * v[2],
+                     n2 = u[0] * v[1] - u[1] * v[0];
+        const Floats det = n0 * n0 + n1 * n1 + n2 * n2 + BLUR * (cov_xx + cov_yy - BLUR);
+
+        const Floats opacity = pick(block(opacities, 1, i, spare[3]), 1);
+        const Floats log_opacity = logarithm(opacity);
+        const Floats reach = larger(2.f * (log_opacity - LOG_ALPHA_MIN), all(0.f));
+        const Floats reach_x = root(reach * cov_xx), reach_y = root(reach * cov_yy);
+        const Floats px = slope_x * view.focal[0] + view.principal[0];
+        const Floats py = slope_y * view.focal[1] + view.principal[1];
+        // What is not finite fails one of these comparisons.
+        const Ints drawn = (depth > view.near) & (depth < view.far) & (opacity >= ALPHA_MIN) &
+                           (opacity < 1e30f) & (norm > 0.f) & (det > 0.f) & (det < 1e30f) &
+                           (px + reach_x > 0.f) & (px - reach_x < (float)view.width) &
+                           (py + reach_y > 0.f) & (py - reach_y < (float)view.height);
+
+        const Floats fields[12] = {px, py, cov_yy / det, -cov_xy / det, cov_xx / det,
+                                   log_opacity, reach_x, reach_y, all(0.f), all(0.f), all(0.f),
+                                   depth};
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (!drawn[lane]) continue;
+            float* splat = (float*)(splats + i + lane);
+            for (int k = 0; k < 12; ++k) splat[k] = fields[k][lane];
+            const float distance = depth[lane];
+            const unsigned bits = *(const unsigned*)&distance;
+            lowest = bits < lowest ? bits : lowest;
+            highest = bits > highest ? bits : highest;
+            key[count] = bits;
+            id[count++] = i + lane;
+        }
+    }
+    state.part_count[part] = count;
+    state.part_lowest[part] = lowest;
+    state.part_highest[part] = highest;
+};
