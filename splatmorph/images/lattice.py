@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.nn.functional import grid_sample
 
 from splatmorph.flows import Flow, Node
+from splatmorph.flows.node import DEFAULT_STEPS
 from splatmorph.images.canvas import Canvas
 
 FINER = 4
@@ -112,5 +113,6 @@ class VelocityTable(nn.Module):
 def tabulated(flow: Flow, canvas: Canvas, spacing: float, reach: float) -> Flow:
     """The same flow on a canvas and around it, by a table of its velocity; only for true flows."""
     table = VelocityTable(flow, canvas, spacing, reach)
+    steps = flow.steps if isinstance(flow, Node) else DEFAULT_STEPS
     # Node asks of a field no more than to be called, as long as nobody asks for Jacobians.
-    return Node(2, table)  # type: ignore[arg-type]
+    return Node(2, table, steps)  # type: ignore[arg-type]
