@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COUNTS = (2, 3, 5, 9)
-"""Each set of knots holds the one before: halving the angles of Chebyshev points adds points."""
+MOST = 9
+"""The most knots a path is given."""
 FINEST = 17
+"""Points of a path that stand for the true one while its knots are chosen."""
 
 
 def knot_times(count: int) -> Array:
@@ -30,20 +31,22 @@ def knot_weights(times: Array, t: float) -> Array:
     return np.asarray(ratios.prod(axis=1))
 
 
-def fewest_knots(paths: Array, tolerance: float) -> int:
-    """The smallest of ``COUNTS`` whose polynomial leaves no path by more than ``tolerance``.
+def knot_matrix(times: Array, wanted: Array) -> Array:
+    """(w, k): ``knot_weights`` for each of the (w,) wanted times."""
+    return np.array([knot_weights(times, t) for t in wanted])
 
-    paths: (FINEST, m, 3) points of m paths at ``knot_times(FINEST)``. The largest count where
-    none is good enough.
+
+def fewest_knots(paths: Array, tolerance: float) -> int:
+    """The fewest knots, 2 to ``MOST``, whose polynomial leaves no path by more than ``tolerance``.
+
+    paths: (FINEST, m, 3) points of m paths at ``knot_times(FINEST)``. ``MOST`` where no fewer
+    are enough.
     """
     finest = knot_times(FINEST)
-    for count in COUNTS:
-        step = (FINEST - 1) // (count - 1)
-        times, values = knot_times(count), paths[::step]
-        misses = [
-            np.linalg.norm(np.tensordot(knot_weights(times, t), values, 1) - truth, axis=1).max()
-            for t, truth in zip(finest, paths, strict=True)
-        ]
-        if max(misses) <= tolerance:
+    for count in range(2, MOST):
+        times = knot_times(count)
+        there_and_back = knot_matrix(times, finest) @ knot_matrix(finest, times)
+        missed = np.tensordot(there_and_back - np.eye(FINEST), paths, 1)
+        if np.linalg.norm(missed, axis=2).max() <= tolerance:
             return count
-    return COUNTS[-1]
+    return MOST

@@ -65,9 +65,7 @@ def open_subject(
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     (source, target), leg = load_inputs(run), run.legs[0]
-    morph = Morph(
-        source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance
-    )
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance)
     subject = Subject(
         morph,
         source.name,

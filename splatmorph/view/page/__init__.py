@@ -83,9 +83,7 @@ def write_page(
     )
     packed = pack(subject, source, target, up)
     where, payload = _one_block(packed.arrays)
-    report = PageReport(
-        len(source) + len(target), sum(visible), packed.knots, packed.error_px, 0
-    )
+    report = PageReport(len(source) + len(target), sum(visible), packed.knots, packed.error_px, 0)
     scene = {
         **packed.facts,
         "arrays": where,

@@ -84,8 +84,8 @@ function start(scene) {
   // A picture in motion gives up pixels where the device is slow; at rest it is drawn in full.
   function ratio(now, moving) {
     const took = now - pace.last;
-    if (moving && pace.last && took < 1000) {
-      if (took > SLOW) pace.coarse = Math.max(0.35, pace.coarse * 0.85);
+    if (moving && pace.last) {
+      if (took > SLOW) pace.coarse = Math.max(0.35, pace.coarse * Math.max(0.6, Math.sqrt(SLOW / took)));
       else if (took < SLOW / 2) pace.coarse = Math.min(1, pace.coarse * 1.05);
     }
     return Math.min(devicePixelRatio, 2) * (moving ? pace.coarse : 1);
@@ -103,7 +103,7 @@ function start(scene) {
     const below = covered();
     painter.draw(camera.view(width, height, below * scale), state);
     const full = Math.min(devicePixelRatio, 2);
-    overlay.draw(camera.view(canvas.clientWidth * full, canvas.clientHeight * full, below * full), full, state.t, state.marks);
+    overlay.draw(camera.view(canvas.clientWidth * full, canvas.clientHeight * full, below * full), full, state);
     $("time").value = state.t;
     $("reading").textContent = state.t.toFixed(2);
     document.documentElement.dataset.drawn = moving ? "moving" : "still";

@@ -1,5 +1,7 @@
 // Landmarks, their paths and names, drawn over the splats.
 
+const pointAt = (knots, weights) => [0, 1, 2].map((axis) => weights.reduce((sum, w, k) => sum + w * knots[k][axis], 0));
+
 class LandmarkOverlay {
   constructor(canvas, tip, scene) {
     Object.assign(this, { canvas, tip, scene, points: [] });
@@ -7,36 +9,34 @@ class LandmarkOverlay {
     this.colours = { source: style.getPropertyValue("--source"), target: style.getPropertyValue("--target") };
   }
 
-  at(landmark, weights) {
-    return mix(landmark, weights);
-  }
-
-  draw(view, ratio, t, shown) {
+  draw(view, ratio, { t, part, marks }) {
     const { canvas, scene } = this;
     canvas.width = Math.round(view.width);
     canvas.height = Math.round(view.height);
     this.points = [];
-    if (!shown) return this.point(null);
+    if (!marks) return this.point(null);
     const pen = canvas.getContext("2d");
     const now = knotWeights(scene.knots, t);
     const stops = Array.from({ length: 17 }, (_, i) => knotWeights(scene.knots, i / 16));
-    for (const side of ["source", "target"]) {
+    const sides = part === "morph" ? ["source", "target"] : [part];
+    sides.forEach((side, layer) => {
       pen.strokeStyle = pen.fillStyle = this.colours[side];
       scene.landmarks[side].forEach((landmark, i) => {
         pen.globalAlpha = 0.45;
         pen.lineWidth = 1.1 * ratio;
         pen.beginPath();
-        for (const weights of stops) pen.lineTo(...project(view, this.at(landmark, weights)).slice(0, 2));
+        for (const weights of stops) pen.lineTo(...project(view, pointAt(landmark, weights)).slice(0, 2));
         pen.stroke();
-        const [x, y, z] = project(view, this.at(landmark, now));
+        const [x, y, z] = project(view, pointAt(landmark, now));
         if (z <= 0) return;
         pen.globalAlpha = 1;
         pen.beginPath();
-        pen.arc(x, y, 2.6 * ratio, 0, 2 * Math.PI);
+        // The target's on top, smaller: a landmark that is met shows as a dot with a rim.
+        pen.arc(x, y, (layer ? 1.9 : 3.4) * ratio, 0, 2 * Math.PI);
         pen.fill();
         this.points.push({ x: x / ratio, y: y / ratio, name: scene.landmarks.names[i] });
       });
-    }
+    });
   }
 
   // The name of the landmark under the pointer, if any.

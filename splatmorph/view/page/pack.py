@@ -21,7 +21,7 @@ SH0 = 0.28209479177387814
 """The constant spherical harmonic, √(1/4π)."""
 PICTURE_HEIGHT = 1080
 """Pixels of the picture in which the error of a move is counted."""
-TOLERANCE = 0.2
+TOLERANCE = 0.5
 """Pixels a path between its knots may be off, before rounding."""
 LOG_SCALE_SPAN = 12.0
 """Natural log of the largest scale over the smallest that is told from nothing."""
@@ -208,7 +208,11 @@ def _ramp_tables() -> NDArray[np.uint16]:
     stored = (torch.arange(256, dtype=torch.float64) / 255).square()
     logits = stored.clamp(1e-12, 1 - 1e-12).logit()
     some = Gaussians(
-        torch.zeros(256, 3), torch.zeros(256, 4), torch.zeros(256, 3), logits, torch.zeros(256, 1, 3)
+        torch.zeros(256, 3),
+        torch.zeros(256, 4),
+        torch.zeros(256, 3),
+        logits,
+        torch.zeros(256, 1, 3),
     )
     tables = np.zeros((len(RAMPS), RAMP_STEPS, 256))
     for table, ramp in zip(tables, RAMPS.values(), strict=True):

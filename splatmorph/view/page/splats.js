@@ -1,4 +1,5 @@
-// Drawing: sort by depth, then one instanced quad a splat, back to front.
+// Drawing: sort by depth, then one quad a splat, back to front. The quads are one plain mesh:
+// instances of four vertices leave graphics processors idle and software ones crawling.
 
 const TEXTURE_WIDTH = 2048;
 const MAX_MOVES = 8;
@@ -7,7 +8,7 @@ const VERTEX = `#version 300 es
 precision highp float;
 precision highp int;
 precision highp usampler2D;
-uniform usampler2D uRest, uMoves;
+uniform usampler2D uRest, uMoves, uOrder;
 uniform highp sampler2D uOpacity;
 uniform float uWeights[${2 * MAX_MOVES}];
 uniform int uMoveCount, uSourceCount, uDeforms;
@@ -15,8 +16,6 @@ uniform vec2 uLogScale, uSize, uMiddle;
 uniform vec3 uMoveScale, uShift;
 uniform mat3 uView;
 uniform float uFocal, uColour, uDeformScale;
-in vec2 corner;
-in uint splat;
 out vec2 at;
 out vec4 tint;
 
@@ -36,7 +35,8 @@ mat3 rotation(uint word) {
 }
 
 void main() {
-  int i = int(splat);
+  int i = int(texelFetch(uOrder, texel(gl_VertexID >> 2), 0).r);
+  vec2 corner = vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0;
   int side = i < uSourceCount ? 0 : 1;
   uvec4 rest = texelFetch(uRest, texel(2 * i), 0);
   uvec4 form = texelFetch(uRest, texel(2 * i + 1), 0);
@@ -114,9 +114,11 @@ function texture(gl, unit, [inner, format, type], data, width, height) {
   gl.texImage2D(gl.TEXTURE_2D, 0, inner, width, height, 0, format, type, data);
 }
 
-// Rows of whole texels, so that texture i holds item i.
+const rowsOf = (items) => Math.max(1, Math.ceil(items / TEXTURE_WIDTH));
+
+// Four words an item; item i is texel i.
 function wordTexture(gl, unit, words) {
-  const height = Math.max(1, Math.ceil(words.length / 4 / TEXTURE_WIDTH));
+  const height = rowsOf(words.length / 4);
   const padded = new Uint32Array(height * TEXTURE_WIDTH * 4);
   padded.set(words);
   texture(gl, unit, [gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT], padded, TEXTURE_WIDTH, height);
@@ -153,15 +155,17 @@ class DepthSort {
   constructor(count) {
     this.depths = new Float32Array(count);
     this.bits = new Uint32Array(this.depths.buffer);
-    this.found = new Uint32Array(count);
-    this.order = new Uint32Array(count);
+    // Whole rows of the texture that takes the order.
+    const room = rowsOf(count) * TEXTURE_WIDTH;
+    this.found = new Uint32Array(room);
+    this.order = new Uint32Array(room);
     this.tally = new Uint32Array(65536);
   }
 
   run(count) {
     this.pass(this.found, this.order, count, 0);
     this.pass(this.order, this.found, count, 16);
-    return this.found.subarray(0, count);
+    return this.found;
   }
 
   pass(from, to, count, shift) {
@@ -192,7 +196,8 @@ class SplatPainter {
     wordTexture(gl, 0, restWords(scene));
     wordTexture(gl, 1, moveWords(scene));
     texture(gl, 2, [gl.R32F, gl.RED, gl.FLOAT], new Float32Array(512), 256, 2);
-    ["uRest", "uMoves", "uOpacity"].forEach((name, unit) => gl.uniform1i(this.uniform[name], unit));
+    texture(gl, 3, [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT], null, TEXTURE_WIDTH, rowsOf(scene.count));
+    ["uRest", "uMoves", "uOpacity", "uOrder"].forEach((name, unit) => gl.uniform1i(this.uniform[name], unit));
     gl.uniform1i(this.uniform.uMoveCount, scene.knots.length - 1);
     gl.uniform1i(this.uniform.uSourceCount, scene.source.count);
     gl.uniform1i(this.uniform.uDeforms, Number(scene.deforms.length > 0));
@@ -201,17 +206,10 @@ class SplatPainter {
     gl.uniform1f(this.uniform.uDeformScale, scene.deformScale);
     gl.uniform1f(this.uniform.uColour, scene.colourScale);
 
-    const corners = gl.getAttribLocation(program, "corner");
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
-    gl.enableVertexAttribArray(corners);
-    gl.vertexAttribPointer(corners, 2, gl.FLOAT, false, 0, 0);
-    const order = gl.getAttribLocation(program, "splat");
-    gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-    gl.bufferData(gl.ARRAY_BUFFER, 4 * scene.count, gl.DYNAMIC_DRAW);
-    gl.enableVertexAttribArray(order);
-    gl.vertexAttribIPointer(order, 1, gl.UNSIGNED_INT, 0, 0);
-    gl.vertexAttribDivisor(order, 1);
+    const mesh = new Uint32Array(6 * scene.count);
+    for (let i = 0; i < scene.count; i++) mesh.set([4 * i, 4 * i + 1, 4 * i + 2, 4 * i + 2, 4 * i + 1, 4 * i + 3], 6 * i);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, mesh, gl.STATIC_DRAW);
 
     gl.disable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
@@ -237,19 +235,21 @@ class SplatPainter {
       sort.depths[i] = depth;
       sort.found[count++] = i;
     }
-    return sort.run(count);
+    return { order: sort.run(count), count };
   }
 
   draw(view, { t, ramp, part }) {
     const { gl, scene } = this;
     const weights = moveWeights(scene, t);
     const opacities = opacityRows(scene, ramp, part, t);
-    const order = this.visible(view, opacities, weights);
+    const { order, count } = this.visible(view, opacities, weights);
     gl.viewport(0, 0, view.width, view.height);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.activeTexture(gl.TEXTURE2);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 256, 2, gl.RED, gl.FLOAT, opacities);
-    gl.bufferSubData(gl.ARRAY_BUFFER, 0, order);
+    gl.activeTexture(gl.TEXTURE3);
+    const rows = rowsOf(count);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, order, 0);
     const padded = new Float32Array(2 * MAX_MOVES);
     padded.set(weights.source, 0);
     padded.set(weights.target, MAX_MOVES);
@@ -259,7 +259,6 @@ class SplatPainter {
     gl.uniform2f(this.uniform.uSize, view.width, view.height);
     gl.uniform2fv(this.uniform.uMiddle, view.middle);
     gl.uniform1f(this.uniform.uFocal, view.focal);
-    gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, order.length);
-    return order.length;
+    gl.drawElements(gl.TRIANGLES, 6 * count, gl.UNSIGNED_INT, 0);
   }
 }

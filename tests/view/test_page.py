@@ -1,0 +1,293 @@
+"""The page: packing, the knots, and the picture in a real browser."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from browser import Browser, find_browser
+from hypothesis import given
+from hypothesis import strategies as st
+
+from renderer.rasterize import rasterize
+from splatmorph.errors import OptionError, WriteError
+from splatmorph.flows import Flow
+from splatmorph.gaussians import Gaussians
+from splatmorph.morph import Morph
+from splatmorph.ramps import RAMPS
+from splatmorph.view.knots import FINEST, MOST, fewest_knots, knot_matrix, knot_times, knot_weights
+from splatmorph.view.page import write_page
+from splatmorph.view.subject import Subject, thin
+
+GROUND = (0.1, 0.1, 0.12)
+HOSTILE = "</script><script>document.title='owned'</script><img src=x onerror=alert(1)>{{scene}}"
+
+
+class Swirl(Flow):
+    """A turn about the z axis by ``angle`` a unit of t, with a drift along it."""
+
+    kind = "swirl"
+
+    def __init__(self, angle: float = 0.8) -> None:
+        super().__init__(3)
+        self.angle = angle
+
+    def unit_forward(self, u, t):
+        return self.unit_trajectory(u, [t], jacobian=False)[0][0]
+
+    def unit_trajectory(self, u, times, *, jacobian):
+        turns = torch.zeros(len(times), 3, 3, dtype=u.dtype)
+        drifts = torch.zeros(len(times), 3, dtype=u.dtype)
+        for turn, drift, t in zip(turns, drifts, times, strict=True):
+            c, s = np.cos(self.angle * t), np.sin(self.angle * t)
+            turn[:] = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+            drift[2] = 0.1 * t
+        moved = u @ turns.transpose(1, 2) + drifts[:, None]
+        return moved, turns[:, None].expand(-1, len(u), -1, -1) if jacobian else None
+
+
+def blob(n: int, seed: int, colour: tuple[float, float, float]) -> Gaussians:
+    """n anisotropic splats on a lumpy ball, of about one colour."""
+    g = torch.Generator().manual_seed(seed)
+    means = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1)
+    means = means * torch.tensor([1.0, 0.7, 0.5]) * (1 + 0.1 * torch.sin(5 * means[:, :1]))
+    tint = torch.tensor(colour) + 0.25 * torch.sin(7 * means)
+    return Gaussians(
+        means,
+        torch.randn(n, 4, generator=g),
+        torch.log(torch.tensor([0.09, 0.05, 0.01])) + 0.4 * torch.randn(n, 3, generator=g),
+        2 * torch.randn(n, generator=g),
+        ((tint - 0.5) / 0.28209479)[:, None],
+    )
+
+
+def subject(n: int = 1200, **options) -> Subject:
+    source, target = blob(n, 1, (0.7, 0.4, 0.2)), blob(n, 2, (0.2, 0.5, 0.7))
+    flow = Swirl()
+    points = source.means[:5].double()
+    chosen = {k: options[k] for k in ("ramp", "covariance") if k in options}
+    return Subject(
+        Morph(source, target, flow, **chosen),
+        source_points=points,
+        target_points=flow(points, 1.0),
+        landmark_names=tuple(f"mark {i}" for i in range(5)),
+        **options,
+    )
+
+
+def scene_of(page: Path) -> tuple[dict, bytes]:
+    text = page.read_text(encoding="utf-8")
+    found = dict(re.findall(r'<script type="[^"]*" id="(\w+)">(.*?)</script>', text, re.DOTALL))
+    return json.loads(found["scene"]), zlib.decompress(base64.b64decode(found["payload"]))
+
+
+class TestKnots:
+    @given(count=st.integers(2, MOST), coefficients=st.lists(st.floats(-3, 3), min_size=1))
+    def test_polynomials_below_the_count_are_met_exactly(self, count, coefficients):
+        curve = np.polynomial.Polynomial(coefficients[:count])
+        times, wanted = knot_times(count), np.linspace(0, 1, 11)
+        assert np.allclose(knot_matrix(times, wanted) @ curve(times), curve(wanted), atol=1e-10)
+
+    @given(count=st.integers(2, MOST), t=st.floats(0, 1))
+    def test_weights_sum_to_one(self, count, t):
+        assert knot_weights(knot_times(count), t).sum() == pytest.approx(1, abs=1e-10)
+
+    def test_a_straight_path_needs_two_and_a_wilder_one_more(self):
+        times = knot_times(FINEST)[:, None, None]
+        straight, bent = times * np.ones((1, 1, 3)), np.sin(4 * times) * np.ones((1, 1, 3))
+        assert fewest_knots(straight, 1e-9) == 2
+        assert 4 <= fewest_knots(bent, 1e-2) < fewest_knots(bent, 1e-4) <= MOST
+
+
+class TestFile:
+    def test_ends_are_stored_to_the_bit_and_paths_within_the_promise(self, tmp_path):
+        shown = subject()
+        report = write_page(tmp_path / "morph.html", shown)
+        scene, block = scene_of(tmp_path / "morph.html")
+        kind, offset, size = scene["arrays"]["centers"]
+        centers = np.frombuffer(block, kind, size, offset).reshape(-1, 3)
+        source = shown.morph.source.means[shown.morph.source.opacities >= 1 / 255]
+        assert np.array_equal(centers[: len(source)], source.numpy())
+        assert report.error_px < 0.6
+        assert not report.thinned
+
+    def test_what_can_not_be_seen_is_not_carried(self, tmp_path):
+        shown = subject()
+        faint = replace(
+            shown.morph.source, opacity_logits=torch.full_like(shown.morph.source.means[:, 0], -9)
+        )
+        faint.opacity_logits[:100] = 0
+        report = write_page(tmp_path / "a.html", replace(shown, morph=Morph(faint, faint, Swirl())))
+        assert report.splats == 200
+
+    def test_too_many_splats_are_thinned_out_and_it_says_so(self, tmp_path):
+        report = write_page(tmp_path / "a.html", subject(), max_splats=500)
+        assert report.thinned
+        assert report.splats <= 500
+        assert "thinned out from" in scene_of(tmp_path / "a.html")[0]["facts"]
+
+    def test_thinning_keeps_what_covers_most(self):
+        splats = blob(50, 3, (0.5, 0.5, 0.5))
+        kept = thin(splats, 10)
+        cover = splats.opacities * splats.scales.sort(dim=1).values[:, 1:].prod(dim=1)
+        left = torch.ones(50, dtype=torch.bool)
+        left[kept] = False
+        assert cover[kept].min() >= cover[left].max()
+
+    def test_nothing_a_name_holds_gets_into_the_markup(self, tmp_path):
+        shown = replace(subject(50), source_name=HOSTILE, landmark_names=(HOSTILE,) * 5)
+        write_page(tmp_path / "a.html", shown)
+        text = (tmp_path / "a.html").read_text(encoding="utf-8")
+        assert text.count("<script") == text.count("</script>") == 3
+        assert "<img" not in text
+        assert scene_of(tmp_path / "a.html")[0]["source"]["name"] == HOSTILE
+
+    def test_it_asks_for_nothing_from_outside(self, tmp_path):
+        write_page(tmp_path / "a.html", subject(50))
+        text = (tmp_path / "a.html").read_text(encoding="utf-8")
+        assert "default-src 'none'" in text
+        assert not re.search(r"https?://|@import|url\(", text)
+
+    def test_no_half_written_file(self, tmp_path):
+        with pytest.raises(WriteError):
+            write_page(tmp_path / "missing" / "a.html", subject(50))
+        with pytest.raises(OptionError, match="max_splats"):
+            write_page(tmp_path / "a.html", subject(50), max_splats=1)
+        assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def browsers() -> Iterator[list[Browser]]:
+    """The one browser of this module, started by the first test that gets that far."""
+    started: list[Browser] = []
+    yield started
+    for browser in started:
+        browser.close()
+
+
+@pytest.fixture
+def browser(browsers: list[Browser]) -> Browser:
+    program = find_browser()
+    if program is None:
+        pytest.skip("no Chromium here (apt-get install chromium, or set SPLATMORPH_TEST_BROWSER)")
+    if not browsers:
+        browsers.append(Browser(program, 400, 300))
+    return browsers[0]
+
+
+def psnr(a: np.ndarray, b: np.ndarray) -> float:
+    return float(-10 * np.log10(np.square(a.astype(float) - b).mean()))
+
+
+def our_picture(browser: Browser, splats: Gaussians) -> np.ndarray:
+    """Our rasterizer's picture from where the page's camera stands."""
+    view = browser.evaluate("splatmorph.view()")
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = view["rows"], view["shift"]
+    (cx, cy), f = view["middle"], view["focal"]
+    rgb, _, _ = rasterize(
+        splats.means.numpy(),
+        splats.quats.numpy(),
+        splats.scales.numpy(),
+        splats.opacities.numpy(),
+        splats.sh.numpy(),
+        viewmat,
+        np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]),
+        view["width"],
+        view["height"],
+        background=GROUND,
+    )
+    return np.asarray(rgb).clip(0, 1)
+
+
+class TestPicture:
+    @pytest.mark.parametrize("covariance", ["fixed", "rotate", "full"])
+    def test_it_is_the_rasterizers(self, browser, tmp_path, covariance):
+        shown = subject(covariance=covariance)
+        write_page(tmp_path / "a.html", shown, background=GROUND)
+        for t, azimuth in ((0, 0), (0.5, 40), (1, -25)):
+            browser.open(tmp_path / "a.html", f"controls=0&t={t}&azimuth={azimuth}&elevation=15")
+            ours = our_picture(browser, shown.morph.at(t))
+            seen = browser.screenshot() / 255
+            assert psnr(seen, ours) > 35, f"t = {t}"
+            assert browser.complaints() == []
+
+    def test_every_ramp_is_the_rasterizers(self, browser, tmp_path):
+        shown = subject()
+        write_page(tmp_path / "a.html", shown, background=GROUND)
+        for ramp in RAMPS:
+            browser.open(tmp_path / "a.html", f"controls=0&t=0.3&ramp={ramp}")
+            morph = Morph(shown.morph.source, shown.morph.target, shown.morph.flow, ramp=ramp)
+            assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(0.3))) > 35
+
+    def test_a_part_alone_is_the_one_input_carried_along(self, browser, tmp_path):
+        shown = subject()
+        write_page(tmp_path / "a.html", shown, background=GROUND)
+        browser.open(tmp_path / "a.html", "controls=0&t=0.4&part=target")
+        target = shown.morph.target
+        carried = replace(target, means=shown.morph.flow(target.means, -0.6))
+        assert psnr(browser.screenshot() / 255, our_picture(browser, carried)) > 35
+
+    def test_names_run_nothing(self, browser, tmp_path):
+        shown = replace(
+            subject(200), source_name=HOSTILE, target_name="a & <b>", landmark_names=(HOSTILE,) * 5
+        )
+        write_page(tmp_path / "a.html", shown)
+        browser.open(tmp_path / "a.html", "landmarks=1")
+        assert browser.evaluate("document.getElementById('source-name').textContent") == HOSTILE
+        assert browser.evaluate("document.title") == f"{HOSTILE} → a & <b>"
+        assert browser.evaluate("document.images.length") == 0
+        assert browser.complaints() == []
+
+    def test_without_landmarks_there_is_nothing_to_toggle(self, browser, tmp_path):
+        bare = subject(200)
+        write_page(tmp_path / "a.html", Subject(bare.morph))
+        browser.open(tmp_path / "a.html", "landmarks=1")
+        assert browser.evaluate("document.getElementById('marks').hidden")
+        assert browser.complaints() == []
+
+
+class TestHands:
+    def test_slider_keys_and_buttons(self, browser, tmp_path):
+        write_page(tmp_path / "a.html", subject(200))
+        browser.open(tmp_path / "a.html")
+        browser.evaluate(
+            "time.value = 0.25, time.dispatchEvent(new Event('input'))".replace(
+                "time", "document.getElementById('time')"
+            )
+        )
+        browser.rest()
+        assert browser.evaluate("splatmorph.state.t") == 0.25
+        for key, expected in ((".", 0.26), ("1", "source"), ("3", "target")):
+            browser.call("Input.dispatchKeyEvent", type="keyDown", key=key)
+            value = browser.evaluate("[splatmorph.state.t, splatmorph.state.part]")
+            assert any(
+                v == expected or isinstance(v, float) and v == pytest.approx(expected)
+                for v in value
+            )
+        browser.evaluate("document.getElementById('play').click()")
+        browser.wait("splatmorph.state.t > 0.3")
+        browser.evaluate("document.getElementById('play').click()")
+        assert not browser.evaluate("splatmorph.state.playing")
+        assert browser.complaints() == []
+
+    def test_dragging_turns_and_the_wheel_zooms(self, browser, tmp_path):
+        write_page(tmp_path / "a.html", subject(200))
+        browser.open(tmp_path / "a.html")
+        before = browser.evaluate("splatmorph.view()")
+        for kind, x in (("mousePressed", 200), ("mouseMoved", 260), ("mouseReleased", 260)):
+            browser.call("Input.dispatchMouseEvent", type=kind, x=x, y=90, button="left", buttons=1)
+        turned = browser.evaluate("splatmorph.view()")
+        assert not np.allclose(before["rows"], turned["rows"], atol=0.1)
+        browser.call(
+            "Input.dispatchMouseEvent", type="mouseWheel", x=200, y=90, deltaX=0, deltaY=-50
+        )
+        browser.wait(f"splatmorph.view().shift[2] < {turned['shift'][2]}")
