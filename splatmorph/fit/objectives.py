@@ -13,11 +13,21 @@ from splatmorph.flows.ifmorph import Ifmorph
 from splatmorph.flows.jets import Jet
 from splatmorph.flows.node import Node, runge_kutta
 from splatmorph.flows.siren import SirenField
+from splatmorph.flows.spline import SplineField
 
 PADDING = 0.1
 """How far beyond the landmarks' box the energy is sampled, as a part of its sides."""
 FINE_STEPS = 8
 """Runge-Kutta steps to t = 1/2 when the true metric is taken."""
+
+
+SIREN_RECIPES = {
+    ("spline", "hessian"): Recipe(150, 1e-2, 500, 1e-3, 1e-4),
+    ("spline", "jacobian"): Recipe(150, 1e-2, 500, 1e-3, 1e-5),
+    ("affine", "hessian"): Recipe(400, 1e-2, 500, 1e-4, 1e-7),
+    ("affine", "jacobian"): Recipe(400, 1e-2, 500, 1e-3, 1e-6),
+}
+"""By base and energy: with a spline to finish on, the network need not meet the landmarks."""
 
 
 class Region:
@@ -50,18 +60,16 @@ class SirenObjective:
         assert isinstance(flow.field, SirenField)
         self.module = flow
         self.field = flow.field
+        self.ends = p, q
         self.p, self.q = p.float(), q.float()
         self.region = region
+        self.config = config
         self.energy = config.energy or "hessian"
-        weights = (1e-4, 1e-7) if self.energy == "hessian" else (1e-3, 1e-6)
-        self.recipe = Recipe(400, 1e-2, 500, *weights)
-        if self.field.base_name == "spline":
-            solve_spline(self.field.base, p, q, config, lambda *_: None)
-        else:
-            solve_affine(self.field.base, p, q)
+        self.recipe = SIREN_RECIPES[self.field.base_name, self.energy]
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
-        """Draw the network anew; the base stays as it was solved."""
+        """Draw the network anew, on the affine base."""
+        solve_affine(self.field.base, *self.ends)
         self.field.network.initialise(torch.Generator().manual_seed(seed))
         return list(self.field.network.parameters())
 
@@ -86,6 +94,21 @@ class SirenObjective:
     def mse(self) -> float:
         """Mean squared gap a coordinate, finely integrated."""
         return fine_mse(self.field, self.p, self.q)
+
+    def finish(self) -> None:
+        """Let the spline, where it is the base, take the landmarks the rest of the way."""
+        if self.field.base_name == "affine":
+            return
+        base, network = self.field.base, self.field.network
+        start = SplineField(self.module.dim)
+        start.set(base.centers[:0], base.weights[:0], base.affine)
+
+        def velocity(u: Tensor) -> Tensor:
+            return start(u) + network(u) + base(u)
+
+        settings = FitConfig(smoothing=self.config.smoothing, tolerance=self.config.tolerance)
+        solve_spline(base, *self.ends, settings, lambda *_: None, velocity)
+        base.affine += start.affine
 
 
 class ConjugateObjective:
@@ -121,6 +144,9 @@ class ConjugateObjective:
     def mse(self) -> float:
         """Mean squared gap a coordinate."""
         return float(self._gap().square().mean())
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
 
     def _gap(self) -> Tensor:
         half = self.p.new_full((len(self.p),), 0.5)
@@ -180,6 +206,9 @@ class IfmorphObjective:
         phi = self.module.unit_forward
         gaps = [phi(self.p, t) - phi(self.q, t - 1) for t in (0.0, *self.TIMES, 1.0)]
         return float(torch.stack(gaps).square().mean())
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
 
 
 def fine_mse(field: nn.Module, p: Tensor, q: Tensor) -> float:

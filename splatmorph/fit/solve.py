@@ -38,23 +38,32 @@ def solve_affine(field: SplineField, p: Tensor, q: Tensor) -> None:
 
 
 def solve_spline(
-    field: SplineField, p: Tensor, q: Tensor, config: FitConfig, record: Record
+    field: SplineField,
+    p: Tensor,
+    q: Tensor,
+    config: FitConfig,
+    record: Record,
+    velocity: Callable[[Tensor], Tensor] | None = None,
 ) -> None:
     """Make ``field`` the spline whose flow takes p to q (k, dim), frame coordinates.
 
     The unknowns are its values at the midpoints. To first order the half-time gap answers one to
     one to them, so they are corrected by the gap itself, with Anderson's acceleration; the spline
     system is factorised once. With smoothing λ > 0 the fixed point minimises Σ|gap|² + λ·bending.
+
+    ``velocity``, where given, is what flows: a field of which ``field`` is only the last
+    correction, so that it begins at zero.
     """
     p, q = _distinct(p, q)
     interpolant = SplineInterpolant(field, (p + q) / 2, config.smoothing)
-    data = q - p
+    data = q - p if velocity is None else torch.zeros_like(p)
+    flowing = velocity or field
     steps = config.steps or SPLINE_STEPS
     tried: list[tuple[Tensor, Tensor]] = []
     best, best_mse = data, float("inf")
     for step in range(steps):
         interpolant.set_values(data)
-        gap = half_time_gap(field, p, q)
+        gap = half_time_gap(flowing, p, q)
         mse = float(gap.square().mean())
         record(step + 1, steps, mse)
         if mse < best_mse or config.smoothing:

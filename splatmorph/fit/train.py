@@ -65,6 +65,9 @@ class Objective(Protocol):
     def mse(self) -> float:
         """The true metric: mean squared landmark error a coordinate, finely integrated."""
 
+    def finish(self) -> None:
+        """What is done to the best model after training."""
+
 
 def train(
     objective: Objective,
@@ -100,6 +103,8 @@ def train(
             f"training became NaN or infinite in each of {ATTEMPTS} attempts: look for landmarks "
             "that contradict each other, or raise the smoothing"
         )
+    objective.finish()
+    record(run.step, run.step, objective.mse())
     return finished
 
 

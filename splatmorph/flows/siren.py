@@ -6,16 +6,20 @@ from typing import Any, ClassVar
 
 from torch import Tensor, nn
 
+from splatmorph.errors import OptionError
 from splatmorph.flows.jets import Jet
 from splatmorph.flows.network import Network
 from splatmorph.flows.spline import SplineField
+
+BASES = ("spline", "affine")
 
 
 class SirenField(nn.Module):
     """v(u) = base(u) + network(u), the network dim → width → … → dim with ``depth`` hidden layers.
 
-    The base is solved before the network is trained: with ``base`` "affine" the least-squares
-    affine velocity, with "spline" the whole spline field.
+    The base begins as the least-squares affine velocity, on top of which the network is trained.
+    With ``base`` "spline" it is then given the spline that takes the landmarks the rest of the
+    way, so that the network may be kept smoother than the landmarks alone would let it be.
     """
 
     name: ClassVar[str] = "siren"
@@ -29,10 +33,12 @@ class SirenField(nn.Module):
         activation: str = "sine",
         first_omega: float = 24.0,
         omega: float = 6.0,
-        base: str = "affine",
+        base: str = "spline",
         centers: int = 0,
     ) -> None:
         super().__init__()
+        if base not in BASES:
+            raise OptionError(f"base '{base}' is unknown: choose one of {', '.join(BASES)}")
         self.width, self.depth, self.activation = width, depth, activation
         self.first_omega, self.omega, self.base_name = first_omega, omega, base
         self.base = SplineField(dim, centers=centers)

@@ -42,7 +42,8 @@ class SplineField(nn.Module):
     def set(self, centers: Tensor, weights: Tensor, affine: Tensor) -> None:
         """Replace centers (k, dim), weights (k, dim) and affine part (1 + dim, dim)."""
         self.centers, self.weights, self.affine = (
-            value.detach().to(self.affine) for value in (centers, weights, affine)
+            value.detach().to(self.affine).clone(memory_format=torch.contiguous_format)
+            for value in (centers, weights, affine)
         )
 
     def forward(self, u: Tensor) -> Tensor:
