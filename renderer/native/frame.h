@@ -1,7 +1,17 @@
 // A frame is a row of phases, each a number of tasks. Threads draw tasks from one ticket that
 // names phase, count and next task; whoever ends the last task of a phase opens the next. So a
 // thread may come late or not at all, and what is computed never depends on who computes it.
-enum Phase { PROJECT, COUNT, SCATTER, BIN, FILL, BLEND, DONE };
+auto clock = [&]() -> Word {
+#if defined(__x86_64__)
+    return __builtin_ia32_rdtsc();
+#elif defined(__aarch64__)
+    Word ticks;
+    asm volatile("mrs %0, cntvct_el0" : "=r"(ticks));
+    return ticks;
+#else
+    return 0;
+#endif
+};
 
 auto open_phase = [&](int phase, int tasks) {
     state.finished = 0;
@@ -22,7 +32,7 @@ auto begin_sort = [&]() {
     state.passes = (bits + RADIX_BITS - 1) / RADIX_BITS;
     state.digit_bits = (bits + state.passes - 1) / state.passes;
     state.pass = 0;
-    state.slab_size = state.visible;
+    state.slab_size = state.visible / 3 + 1;
 };
 
 auto open_tiles = [&]() {
@@ -78,6 +88,7 @@ for (;;) {
     ticket = __atomic_fetch_add(&state.ticket, 1, __ATOMIC_ACQ_REL);
     const int phase = (int)(ticket >> 56), task = (int)(ticket & TASKS), tasks = (int)(ticket >> 28 & TASKS);
     if (task >= tasks) continue;
+    const Word began = clock();
     switch (phase) {
     case PROJECT: project_part(task); break;
     case COUNT: count_digits(task); break;
@@ -86,5 +97,6 @@ for (;;) {
     case FILL: fill_part(task); break;
     case BLEND: blend_tile(task); break;
     }
+    __atomic_fetch_add(&state.ticks[phase], clock() - began, __ATOMIC_RELAXED);
     if (__atomic_add_fetch(&state.finished, 1, __ATOMIC_ACQ_REL) == tasks) next_phase(phase);
 }

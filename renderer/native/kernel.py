@@ -31,6 +31,7 @@ constexpr float BLUR = {reference.BLUR}f, ALPHA_MIN = 1.f / 255;
 constexpr float LOG_ALPHA_MIN = {math.log(reference.ALPHA_MIN)}f;
 constexpr float ALPHA_MAX = {reference.ALPHA_MAX}f, CLEAR_MIN = {reference.TRANSMITTANCE_MIN}f;
 constexpr float EXP0 = {EXP[0]}f, EXP1 = {EXP[1]}f, EXP2 = {EXP[2]}f, EXP3 = {EXP[3]}f;
+constexpr float SLACK = 1e-3f;  // px, for rounding; blending tests every pixel anyway
 """
 
 wp.set_module_options({"enable_backward": False})

@@ -1,10 +1,13 @@
 // The arrays of a frame, by name.
+enum Phase { PROJECT, COUNT, SCATTER, BIN, FILL, BLEND, DONE };
+
 struct State {
     Word ticket;
     int finished;
     int visible, lowest;
     int pass, passes, digit_bits, sorted;
     int slab_size, slab_begin, slab_end, slab_parts, last_slab;
+    Word ticks[DONE];  // per phase, summed over threads
     long long entries;
     int part_count[PARTS], part_stop[PARTS];
     unsigned part_lowest[PARTS], part_highest[PARTS];
@@ -15,14 +18,14 @@ struct Tile {
     int first, last, touched, spare;
 };
 
-// A projected splat is one cache line; binning reads the first half of it.
+// A projected splat is one cache line.
 struct Splat {
     float x, y;  // center, px
     float conic_xx, conic_xy, conic_yy;
     float log_opacity;
     float reach_x, reach_y;  // half extent of alpha >= 1/255, px
+    int left, right, top, bottom;  // the pixels it may touch, both ends included
     float red, green, blue, depth;
-    float spare[4];
 };
 
 // Pixels of one tile, row by row: sums of colour and depth, and what is left of the light,

@@ -62,21 +62,25 @@ auto project_part = [&](int part) {
         const Floats reach_x = root(reach * cov_xx), reach_y = root(reach * cov_yy);
         const Floats px = slope_x * view.focal[0] + view.principal[0];
         const Floats py = slope_y * view.focal[1] + view.principal[1];
+        // Pixel centers lie at +0.5, so pixel i is covered where i + 0.5 is within reach.
+        const Floats left = ceiling(larger(px - reach_x - (0.5f + SLACK), all(0.f)));
+        const Floats right = flooring(smaller(px + reach_x - (0.5f - SLACK), all(view.width - 1.f)));
+        const Floats top = ceiling(larger(py - reach_y - (0.5f + SLACK), all(0.f)));
+        const Floats bottom = flooring(smaller(py + reach_y - (0.5f - SLACK), all(view.height - 1.f)));
         // What is not finite fails one of these comparisons.
         const Ints drawn = (depth > view.near) & (depth < view.far) & (opacity >= ALPHA_MIN) &
                            (opacity < 1e30f) & (norm > 0.f) & (det > 0.f) & (det < 1e30f) &
-                           (px + reach_x > 0.f) & (px - reach_x < (float)view.width) &
-                           (py + reach_y > 0.f) & (py - reach_y < (float)view.height);
+                           (left <= right) & (top <= bottom);
 
         const Floats fields[12] = {px, py, cov_yy / det, -cov_xy / det, cov_xx / det,
-                                   log_opacity, reach_x, reach_y, all(0.f), all(0.f), all(0.f),
-                                   depth};
+                                   log_opacity, reach_x, reach_y, left, right, top, bottom};
         for (int lane = 0; lane < LANES; ++lane) {
             if (!drawn[lane]) continue;
-            float* splat = (float*)(splats + i + lane);
-            for (int k = 0; k < 12; ++k) splat[k] = fields[k][lane];
-            const float distance = depth[lane];
-            const unsigned bits = *(const unsigned*)&distance;
+            Splat& splat = splats[i + lane];
+            for (int k = 0; k < 8; ++k) (&splat.x)[k] = fields[k][lane];
+            for (int k = 0; k < 4; ++k) (&splat.left)[k] = (int)fields[8 + k][lane];
+            splat.depth = depth[lane];
+            const unsigned bits = *(const unsigned*)&splat.depth;
             lowest = bits < lowest ? bits : lowest;
             highest = bits > highest ? bits : highest;
             key[count] = bits;

@@ -13,6 +13,8 @@ auto store = [&](float* p, Floats v) { *(UnalignedFloats*)p = v; };
 auto larger = [&](Floats a, Floats b) -> Floats { return __builtin_elementwise_max(a, b); };
 auto smaller = [&](Floats a, Floats b) -> Floats { return __builtin_elementwise_min(a, b); };
 auto root = [&](Floats a) -> Floats { return __builtin_elementwise_sqrt(a); };
+auto ceiling = [&](Floats a) -> Floats { return __builtin_elementwise_ceil(a); };
+auto flooring = [&](Floats a) -> Floats { return __builtin_elementwise_floor(a); };
 auto all = [&](float x) -> Floats { return (Floats)x; };
 
 auto pick = [&](const float* rows, int stride) -> Floats {
