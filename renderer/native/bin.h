@@ -10,26 +10,27 @@ struct Entry {
 };
 
 
-// Rows [first, last] where the ellipse alpha = 1/255 meets the pixel columns from dx = left to
-// right (from the center): its upper and lower arcs are monotonous but for their extremes.
-auto rows_of = [&](const Splat& s, float left, float right, int& first, int& last) {
+// Rows first to last where the ellipse alpha = 1/255 meets 16 columns of tiles, the first of
+// which begins at dx = left from its center. Between its extremes the upper and the lower arc
+// are monotonous, so their ends decide.
+auto rows_of = [&](const Splat& s, float left, int* first, int* last) {
+    #pragma clang fp contract(fast)
     const float det = s.conic_xx * s.conic_yy - s.conic_xy * s.conic_xy;
-    const float inverse = 1.f / s.conic_yy;
     const float level = 2.f * (s.log_opacity - LOG_ALPHA_MIN) * s.conic_yy;
-    const float peak = -s.conic_xy / s.conic_xx * s.reach_y;
-    left = left < -s.reach_x ? -s.reach_x : left;
-    right = right > s.reach_x ? s.reach_x : right;
-    float a = level - det * left * left, b = level - det * right * right;
-    a = __builtin_sqrtf(a > 0.f ? a : 0.f), b = __builtin_sqrtf(b > 0.f ? b : 0.f);
-    const float tilt_a = s.conic_xy * left, tilt_b = s.conic_xy * right;
-    float high = (a - tilt_a > b - tilt_b ? a - tilt_a : b - tilt_b) * inverse;
-    float low = (-a - tilt_a < -b - tilt_b ? -a - tilt_a : -b - tilt_b) * inverse;
-    if (peak >= left && peak <= right) high = s.reach_y;
-    if (-peak >= left && -peak <= right) low = -s.reach_y;
-    const int down = (int)__builtin_ceilf(s.y + low - (0.5f + SLACK));
-    const int up = (int)__builtin_floorf(s.y + high - (0.5f - SLACK));
-    first = down > first ? down : first;
-    last = up < last ? up : last;
+    const float inverse = 1.f / s.conic_yy, peak = -s.conic_xy / s.conic_xx * s.reach_y;
+    const Floats begin = larger(left + LANES * lane_index, all(-s.reach_x));
+    const Floats end = smaller(left + LANES * lane_index + (LANES - 1.f), all(s.reach_x));
+    const Floats a = root(larger(level - det * begin * begin, all(0.f)));
+    const Floats b = root(larger(level - det * end * end, all(0.f)));
+    const Floats tilt_a = s.conic_xy * begin, tilt_b = s.conic_xy * end;
+    Floats high = larger(a - tilt_a, b - tilt_b) * inverse;
+    Floats low = smaller(-a - tilt_a, -b - tilt_b) * inverse;
+    high = (peak >= begin) & (peak <= end) ? all(s.reach_y) : high;
+    low = (-peak >= begin) & (-peak <= end) ? all(-s.reach_y) : low;
+    const Floats top = larger(ceiling(s.y + low - (0.5f + SLACK)), all((float)s.top));
+    const Floats bottom = smaller(flooring(s.y + high - (0.5f - SLACK)), all((float)s.bottom));
+    *(Ints*)first = __builtin_convertvector(top, Ints);
+    *(Ints*)last = __builtin_convertvector(bottom, Ints);
 };
 
 // Depth order is no order in memory: ask early for what the colour of a splat will need.
@@ -40,26 +41,38 @@ auto fetch_color = [&](int id) {
     __builtin_prefetch(row + coefficients * 12 - 1);
 };
 
-// List the tiles of one splat that are still open; returns how many. Room is checked before.
+// Whether a tile has open rows among the picture's rows top to bottom; trims them to those.
+auto meets = [&](int tile_row, int column, int& top, int& bottom) -> bool {
+    const Tile& open = open_rows[tile_row * columns + column];
+    top -= tile_row * ROWS, bottom -= tile_row * ROWS;
+    top = top > open.first ? top : open.first;
+    bottom = bottom < open.last ? bottom : open.last;
+    return top <= bottom;
+};
+
+// List the open tiles of one splat; returns how many. Room is checked before.
 auto list_splat = [&](int id, Word* list, int* count) -> int {
-    const Splat& s = splats[id];
+    const Splat s = splats[id];
     const int column0 = s.left / LANES, column1 = s.right / LANES;
+    const int row0 = s.top / ROWS, row1 = s.bottom / ROWS;
+    bool seen = false;
+    for (int row = row0; row <= row1; ++row)
+        for (int column = column0; column <= column1; ++column) {
+            int top = s.top, bottom = s.bottom;
+            seen |= meets(row, column, top, bottom);
+        }
+    if (!seen) return 0;
+    alignas(64) int first[LANES], last[LANES];
+    first[0] = s.top, last[0] = s.bottom;
     int listed = 0;
     for (int column = column0; column <= column1; ++column) {
-        int first = s.top, last = s.bottom;
-        if (column0 < column1) {
-            const float left = column * LANES + 0.5f - s.x;
-            rows_of(s, left, left + LANES - 1.f, first, last);
-            if (first > last) continue;
-        }
-        for (int row = first / ROWS; row <= last / ROWS; ++row) {
-            const int tile = row * columns + column;
-            const Tile& open = open_rows[tile];
-            const int top = first - row * ROWS > open.first ? first - row * ROWS : open.first;
-            const int bottom = last - row * ROWS < open.last ? last - row * ROWS : open.last;
-            if (top > bottom) continue;
-            ++count[tile];
-            list[listed++] = Entry::make(id, tile, top, bottom);
+        const int lane = (column - column0) % LANES;
+        if (!lane && column0 < column1) rows_of(s, column * LANES + 0.5f - s.x, first, last);
+        for (int row = first[lane] / ROWS; row <= last[lane] / ROWS; ++row) {
+            int top = first[lane], bottom = last[lane];
+            if (top > bottom || !meets(row, column, top, bottom)) continue;
+            ++count[row * columns + column];
+            list[listed++] = Entry::make(id, row * columns + column, top, bottom);
         }
     }
     return listed;

@@ -33,8 +33,7 @@ auto blend_tile = [&](int t) {
     const int begin = starts[t], end = starts[t + 1];
     if (open.first > open.last || (begin == end && !state.last_slab)) return;
     const int left = t % columns * LANES, top = t / columns * ROWS;
-    Floats lane;
-    for (int i = 0; i < LANES; ++i) lane[i] = i + 0.5f + (float)left;
+    const Floats x = lane_index + (left + 0.5f);
     Pixels tile;
     if (open.touched) tile = kept[t];
     else for (int r = 0; r < ROWS; ++r) {
@@ -50,7 +49,7 @@ auto blend_tile = [&](int t) {
         const Splat& s = splats[Entry::id(entry)];
         const int r0 = Entry::first(entry) > first ? Entry::first(entry) : first;
         const int r1 = Entry::last(entry) < last ? Entry::last(entry) : last;
-        const Floats dx = lane - s.x;
+        const Floats dx = x - s.x;
         const float yy = s.conic_yy * (-0.5f / 16);
         const Floats across = dx * dx * (s.conic_xx * (-0.5f / 16)) + s.log_opacity * (1.f / 16);
         const Floats slant = dx * (s.conic_xy * (-1.f / 16));

@@ -8,6 +8,8 @@ typedef Floats UnalignedFloats __attribute__((aligned(4)));
 typedef Float4 UnalignedFloat4 __attribute__((aligned(4)));
 typedef unsigned long long Word;
 
+const Floats lane_index = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+
 auto load = [&](const float* p) -> Floats { return *(const UnalignedFloats*)p; };
 auto store = [&](float* p, Floats v) { *(UnalignedFloats*)p = v; };
 auto larger = [&](Floats a, Floats b) -> Floats { return __builtin_elementwise_max(a, b); };
