@@ -128,14 +128,18 @@ def _choose_pose(
     if canonical:
         return Pose.canonical(), CANONICAL, (rig.track.path,)
     number = frame or 0
-    if pose is None:
-        return rig.track.pose(number), f"frame {number} of its track", (rig.track.path,)
-    other = track_of(pose)
-    posed = f"frame {number} of {other.path}"
-    return _pose_of(rig, other, number), posed, (rig.track.path, other.path)
+    track = rig.track if pose is None else track_of(pose)
+    if _is_own(rig, track):
+        return track.pose(number), f"frame {number} of its track", (track.path,)
+    posed = f"frame {number} of {track.path}"
+    return _pose_of(rig, track, number), posed, (rig.track.path, track.path)
 
 
 def _pose_of(rig: Rig, track: Track, frame: int) -> Pose:
     pose = track.pose(frame)
     # The offsets of another person's vertices would make this one another person.
-    return pose if track is rig.track else replace(pose, offset=None)
+    return pose if _is_own(rig, track) else replace(pose, offset=None)
+
+
+def _is_own(rig: Rig, track: Track) -> bool:
+    return rig.track is not None and track.path.resolve() == rig.track.path.resolve()

@@ -201,6 +201,21 @@ def test_a_track_is_its_frames(anna: Path, flame_folder: Path) -> None:
     torch.testing.assert_close(frames[3].means, one.gaussians.means, rtol=0, atol=0)
 
 
+def test_offsets_by_frame_are_one_s_own(
+    anna: Path, ben: Path, tmp_path: Path, flame_folder: Path
+) -> None:
+    offset = np.zeros((4, 5143, 3), np.float32)
+    offset[2, :, 1] = 0.01
+    moving = _with_parameters(anna, tmp_path / "moving", dynamic_offset=offset)
+    plain = load_avatar(anna, frame=2, flame=flame_folder).vertices
+    own = load_avatar(moving, frame=2, flame=flame_folder).vertices
+    by_name = load_avatar(moving, pose=moving, frame=2, flame=flame_folder).vertices
+    assert (own - plain).norm(dim=1).median() > 0.005
+    torch.testing.assert_close(by_name, own, rtol=0, atol=0)
+    others = [load_avatar(ben, pose=p, frame=2, flame=flame_folder) for p in (anna, moving)]
+    torch.testing.assert_close(others[0].vertices, others[1].vertices, rtol=0, atol=0)
+
+
 def test_heads_posed_apart_are_told(anna: Path, ben: Path, flame_folder: Path) -> None:
     resting = load_avatar(anna, flame=flame_folder)
     assert pose_warnings(resting, load_avatar(ben, flame=flame_folder)) == ()
