@@ -7,18 +7,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
-from renderer.cameras import Bounds, bounds_of
+from renderer import Bounds
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.run import load_inputs, open_run
+from splatmorph.rendering import bounds
+from splatmorph.run import load_inputs, morph_of, open_run
 
 VISIBLE = 1 / 255
 """Opacity below which no rasterizer draws a splat."""
+
+NO_POINTS = torch.empty(0, 3, dtype=torch.float64)
 
 
 @dataclass(frozen=True)
@@ -28,9 +30,9 @@ class Subject:
     morph: Morph
     source_name: str = "source"
     target_name: str = "target"
-    source_points: Tensor = torch.empty(0, 3, dtype=torch.float64)
+    source_points: Tensor = NO_POINTS
     """(k, 3) the source's landmarks, world units; none is fine."""
-    target_points: Tensor = torch.empty(0, 3, dtype=torch.float64)
+    target_points: Tensor = NO_POINTS
     """(k, 3) where they are on the target."""
     landmark_names: tuple[str, ...] = ()
     ramp: str = "linear"
@@ -43,13 +45,7 @@ class Subject:
 
     def bounds(self) -> Bounds:
         """The sphere round both splats, floaters left out."""
-        both = (self.morph.source, self.morph.target)
-        return bounds_of(
-            *(
-                np.concatenate([getattr(splat, name).numpy(force=True) for splat in both])
-                for name in ("means", "opacities", "scales")
-            )
-        )
+        return bounds(self.morph.source, self.morph.target)
 
 
 def open_subject(
@@ -64,12 +60,11 @@ def open_subject(
     run = open_run(folder)
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
-    (source, target), leg = load_inputs(run), run.legs[0]
-    morph = Morph(source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance)
+    inputs, leg = load_inputs(run), run.legs[0]
+    morph = morph_of(run, inputs, ramp=ramp, covariance=covariance)
     subject = Subject(
         morph,
-        source.name,
-        target.name,
+        *(one.name for one in inputs),
         leg.source_points,
         leg.target_points,
         leg.names,

@@ -167,10 +167,13 @@ class Browser:
                 found.append(json.dumps(params["exceptionDetails"]))
             elif event["method"] == "Runtime.consoleAPICalled" and params["type"] == "error":
                 found.append(json.dumps(params["args"]))
-            elif event["method"] == "Log.entryAdded" and entry["level"] in ("error", "warning"):
+            elif (
+                event["method"] == "Log.entryAdded"
+                and entry["level"] in ("error", "warning")
                 # Reading back a software canvas, as a screenshot does, is called slow.
-                if "GPU stall due to ReadPixels" not in entry["text"]:
-                    found.append(entry["text"])
+                and "GPU stall due to ReadPixels" not in entry["text"]
+            ):
+                found.append(entry["text"])
         return found
 
     def close(self) -> None:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from renderer.cameras import orbit
+from renderer import orbit
 from splatmorph.covariance import polar_rotation
 from splatmorph.gaussians import Gaussians
 from splatmorph.ramps import RAMPS
@@ -26,6 +26,8 @@ TOLERANCE = 0.5
 LOG_SCALE_SPAN = 12.0
 """Natural log of the largest scale over the smallest that is told from nothing."""
 RAMP_STEPS = 65
+GROWTH_STEP = 2.0**-13
+"""Of the natural log of the factor by which a ramp scales a splat: ±4 in 16 bits."""
 SAMPLE = 4096
 
 Array = NDArray[np.float64]
@@ -60,7 +62,7 @@ def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Pac
         "source": motion.landmarks(subject.source_points, 0),
         "target": motion.landmarks(subject.target_points, 1),
     }
-    arrays = {**still, "moves": moves, "deforms": deforms, "ramps": _ramp_tables()}
+    arrays = {**still, "moves": moves, "deforms": deforms, **_ramp_tables()}
     facts = {
         **ranges,
         "knots": motion.times.tolist(),
@@ -68,6 +70,7 @@ def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Pac
         "deformScale": deform_scale,
         "rampNames": list(RAMPS),
         "rampSteps": RAMP_STEPS,
+        "growthStep": GROWTH_STEP,
         "landmarks": {"names": list(subject.landmark_names), **ends},
         "camera": {
             "center": center.tolist(),
@@ -175,7 +178,7 @@ def _at_rest(both: Gaussians) -> tuple[dict[str, NDArray[np.generic]], dict[str,
 
 
 def _packed_rotations(quats: Array) -> NDArray[np.uint32]:
-    """Unit quaternions as the place of their largest component and the other three, 10 bits each."""
+    """Quaternions as the place of their largest component and the other three in 10 bits each."""
     quats = quats / np.linalg.norm(quats, axis=1, keepdims=True)
     place = np.abs(quats).argmax(axis=1)
     rows = np.arange(len(quats))
@@ -203,21 +206,29 @@ def _rounded_shapes(deforms: Array) -> tuple[NDArray[np.int8], float]:
     return np.rint(np.clip(columns, -127, 127)).astype(np.int8), most / 127
 
 
-def _ramp_tables() -> NDArray[np.uint16]:
-    """(ramps, RAMP_STEPS, 256) opacity, in 65535ths, of the 256 stored ones at each weight."""
+def _ramp_tables() -> dict[str, NDArray[np.generic]]:
+    """What each ramp makes of the 256 stored opacities at each weight: (ramps, RAMP_STEPS, 256).
+
+    ``fades``: the opacity, in 65535ths; ``growths``: the change of log scale, in GROWTH_STEPs.
+    """
     stored = (torch.arange(256, dtype=torch.float64) / 255).square()
-    logits = stored.clamp(1e-12, 1 - 1e-12).logit()
     some = Gaussians(
         torch.zeros(256, 3),
         torch.zeros(256, 4),
-        torch.zeros(256, 3),
-        logits,
+        torch.zeros(256, 3, dtype=torch.float64),
+        stored.clamp(1e-12, 1 - 1e-12).logit(),
         torch.zeros(256, 1, 3),
     )
-    tables = np.zeros((len(RAMPS), RAMP_STEPS, 256))
-    for table, ramp in zip(tables, RAMPS.values(), strict=True):
-        for row, weight in zip(table[1:-1], np.linspace(0, 1, RAMP_STEPS)[1:-1], strict=True):
-            row[:] = ramp(some, float(weight)).opacities.numpy()
-        table[-1] = stored.numpy()
-    tables[:, :, 0] = 0
-    return np.rint(65535 * tables).astype(np.uint16)
+    fades = np.zeros((len(RAMPS), RAMP_STEPS, 256))
+    growths = np.zeros_like(fades)
+    for i, ramp in enumerate(RAMPS.values()):
+        for k, weight in enumerate(np.linspace(0, 1, RAMP_STEPS)[1:-1], start=1):
+            faded = ramp(some, float(weight))
+            fades[i, k], growths[i, k] = faded.opacities, faded.log_scales[:, 0]
+    growths[:, 0] = growths[:, 1]
+    fades[:, -1] = stored
+    fades[:, :, 0] = 0
+    return {
+        "fades": np.rint(65535 * fades).astype(np.uint16),
+        "growths": np.rint(growths / GROWTH_STEP).clip(-32767, 32767).astype(np.int16),
+    }

@@ -31,18 +31,19 @@ function moveWeights(scene, t) {
   return { source: weights.slice(1), target: weights.slice(0, -1) };
 }
 
-// Opacity at t of the 256 stored opacities: row 0 for the source's splats, row 1 for the target's.
-function opacityRows(scene, ramp, part, t) {
-  const rows = new Float32Array(512);
-  const fade = { source: part === "morph" ? 1 - t : Number(part === "source"), target: part === "morph" ? t : Number(part === "target") };
-  [fade.source, fade.target].forEach((weight, side) => {
-    const steps = scene.rampSteps - 1;
-    const at = weight * steps;
-    const low = Math.min(Math.floor(at), steps - 1);
-    const start = ramp * scene.rampSteps * 256 + low * 256;
+// Opacity at t of the 256 stored opacities, and the factor on the scale that goes with it:
+// row 0 for the source's splats, row 1 for the target's.
+function fadeRows(scene, ramp, part, t) {
+  const rows = new Float32Array(1024);
+  const weights = part === "morph" ? [1 - t, t] : [Number(part === "source"), Number(part === "target")];
+  weights.forEach((weight, side) => {
+    const at = weight * (scene.rampSteps - 1);
+    const low = Math.min(Math.floor(at), scene.rampSteps - 2);
+    const start = (ramp * scene.rampSteps + low) * 256;
+    const between = (table, a) => table[start + a] + (at - low) * (table[start + 256 + a] - table[start + a]);
     for (let a = 0; a < 256; a++) {
-      const first = scene.ramps[start + a];
-      rows[side * 256 + a] = (first + (at - low) * (scene.ramps[start + 256 + a] - first)) / 65535;
+      rows[2 * (side * 256 + a)] = between(scene.fades, a) / 65535;
+      rows[2 * (side * 256 + a) + 1] = Math.exp(between(scene.growths, a) * scene.growthStep);
     }
   });
   return rows;

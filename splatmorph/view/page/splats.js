@@ -9,7 +9,7 @@ precision highp float;
 precision highp int;
 precision highp usampler2D;
 uniform usampler2D uRest, uMoves, uOrder;
-uniform highp sampler2D uOpacity;
+uniform highp sampler2D uFade;
 uniform float uWeights[${2 * MAX_MOVES}];
 uniform int uMoveCount, uSourceCount, uDeforms;
 uniform vec2 uLogScale, uSize, uMiddle;
@@ -54,11 +54,12 @@ void main() {
   }
   vec3 p = uView * (uintBitsToFloat(rest.xyz) + uMoveScale * move) + uShift;
 
-  float opacity = texelFetch(uOpacity, ivec2(int(rest.w >> 24u), side), 0).r;
+  vec2 fade = texelFetch(uFade, ivec2(int(rest.w >> 24u), side), 0).rg;
+  float opacity = fade.x;
   tint = vec4(vec3(uvec3(rest.w, rest.w >> 8u, rest.w >> 16u) & 255u) / 255.0 * uColour, opacity);
 
   vec3 steps = vec3(float(form.y & 2047u) / 2047.0, float((form.y >> 11u) & 2047u) / 2047.0, float(form.y >> 22u) / 1023.0);
-  vec3 scale = exp(mix(uLogScale.xxx, uLogScale.yyy, steps));
+  vec3 scale = fade.y * exp(mix(uLogScale.xxx, uLogScale.yyy, steps));
   mat3 local = rotation(form.x);
   local = uView * (mat3(1.0) + deform * uDeformScale) * mat3(local[0] * scale.x, local[1] * scale.y, local[2] * scale.z);
 
@@ -195,9 +196,9 @@ class SplatPainter {
     this.uniform = new Proxy({}, { get: (known, name) => known[name] ??= gl.getUniformLocation(program, name) });
     wordTexture(gl, 0, restWords(scene));
     wordTexture(gl, 1, moveWords(scene));
-    texture(gl, 2, [gl.R32F, gl.RED, gl.FLOAT], new Float32Array(512), 256, 2);
+    texture(gl, 2, [gl.RG32F, gl.RG, gl.FLOAT], new Float32Array(1024), 256, 2);
     texture(gl, 3, [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT], null, TEXTURE_WIDTH, rowsOf(scene.count));
-    ["uRest", "uMoves", "uOpacity", "uOrder"].forEach((name, unit) => gl.uniform1i(this.uniform[name], unit));
+    ["uRest", "uMoves", "uFade", "uOrder"].forEach((name, unit) => gl.uniform1i(this.uniform[name], unit));
     gl.uniform1i(this.uniform.uMoveCount, scene.knots.length - 1);
     gl.uniform1i(this.uniform.uSourceCount, scene.source.count);
     gl.uniform1i(this.uniform.uDeforms, Number(scene.deforms.length > 0));
@@ -217,7 +218,7 @@ class SplatPainter {
     gl.clearColor(0, 0, 0, 0);
   }
 
-  visible(view, opacities, weights) {
+  visible(view, fades, weights) {
     const { scene, sort } = this;
     const [rx, ry, rz] = view.rows[2];
     const [mx, my, mz] = [rx, ry, rz].map((v, i) => v * scene.moveScale[i]);
@@ -225,7 +226,7 @@ class SplatPainter {
     let count = 0;
     for (let i = 0; i < scene.count; i++) {
       const side = i < scene.source.count ? 0 : 1;
-      if (opacities[side * 256 + (scene.colours[i] >>> 24)] < 1 / 255) continue;
+      if (fades[2 * (side * 256 + (scene.colours[i] >>> 24))] < 1 / 255) continue;
       const w = side ? weights.target : weights.source;
       let depth = rx * scene.centers[3 * i] + ry * scene.centers[3 * i + 1] + rz * scene.centers[3 * i + 2] + view.shift[2];
       for (let k = 0, at = 3 * knots * i; k < knots; k++, at += 3) {
@@ -241,12 +242,12 @@ class SplatPainter {
   draw(view, { t, ramp, part }) {
     const { gl, scene } = this;
     const weights = moveWeights(scene, t);
-    const opacities = opacityRows(scene, ramp, part, t);
-    const { order, count } = this.visible(view, opacities, weights);
+    const fades = fadeRows(scene, ramp, part, t);
+    const { order, count } = this.visible(view, fades, weights);
     gl.viewport(0, 0, view.width, view.height);
     gl.clear(gl.COLOR_BUFFER_BIT);
     gl.activeTexture(gl.TEXTURE2);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 256, 2, gl.RED, gl.FLOAT, opacities);
+    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 256, 2, gl.RG, gl.FLOAT, fades);
     gl.activeTexture(gl.TEXTURE3);
     const rows = rowsOf(count);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, order, 0);
