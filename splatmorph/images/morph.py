@@ -44,27 +44,32 @@ class ImageMorph:
     def sequence(self, times: Sequence[float]) -> Iterator[Picture]:
         """The pictures at all times, the warp followed once for the whole sequence."""
         for t, maps in zip(times, self.warp.maps(self.output, times), strict=True):
-            yield Picture.from_planes(self._frame(t, *maps))
+            end = {0: self.source, 1: self.target}.get(t)
+            if end is not None and end.canvas == self.output:
+                # The identity warp: no rounding may touch the picture.
+                yield end.with_channels(self._channels).as_float()
+            else:
+                yield Picture.from_planes(self._frame(t, *maps))
 
     def _frame(self, t: float, source: PixelMap, target: PixelMap) -> Tensor:
         if t <= 0:
-            return self._side(0, source, moved=t != 0)
+            return self._side(0, source)
         if t >= 1:
-            return self._side(1, target, moved=t != 1)
+            return self._side(1, target)
         return self.blend(self._side(0, source), self._side(1, target), t)
 
-    def _side(self, side: int, where: PixelMap, moved: bool = True) -> Tensor:
+    def _side(self, side: int, where: PixelMap) -> Tensor:
         planes, own = self._sides[side]
-        if not moved and own == self.output:
-            # The identity warp: no rounding of its positions may touch the picture.
-            return planes.clone()
         return sample(planes, own, where, self.output, self.interpolation, self.edge)
+
+    @property
+    def _channels(self) -> int:
+        return max(self.source.channels, self.target.channels)
 
     @cached_property
     def _sides(self) -> list[tuple[Tensor, Canvas]]:
-        channels = max(self.source.channels, self.target.channels)
         sides = []
         for picture in (self.source, self.target):
-            planes = picture.with_channels(channels).planes(self.output)
+            planes = picture.with_channels(self._channels).planes(self.output)
             sides.append((planes, Canvas(planes.shape[2], planes.shape[1])))
         return sides

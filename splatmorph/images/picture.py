@@ -64,14 +64,19 @@ class Picture:
             pixels = np.concatenate([pixels, opaque], axis=2)
         return Picture(pixels[..., :channels])
 
+    def as_float(self) -> Picture:
+        """The same picture, float32."""
+        if self.pixels.dtype == np.float32:
+            return self
+        return Picture(self.pixels.astype(np.float32) / np.float32(DEPTHS[self.pixels.dtype]))
+
     def planes(self, canvas: Canvas | None = None) -> Tensor:
         """(channels, h, w) float32 in [0, 1], colours premultiplied by alpha.
 
         Where ``canvas`` has fewer pixels than the picture, it is reduced to that resolution
         with a filter wide enough that sampling it does not alias.
         """
-        values = np.moveaxis(self.pixels, 2, 0).astype(np.float32, order="C")
-        planes = torch.from_numpy(values).div_(DEPTHS[self.pixels.dtype])
+        planes = torch.from_numpy(self.as_float().pixels).permute(2, 0, 1).contiguous()
         if self.channels == 4:
             planes[:3] *= planes[3]
         own = self.canvas
@@ -92,8 +97,7 @@ class Picture:
         """(h, w, channels) uint8."""
         if self.pixels.dtype == np.uint8:
             return self.pixels
-        values = torch.from_numpy(self.pixels.astype(np.float32, copy=False))
-        values = values * (255 / DEPTHS[self.pixels.dtype])
+        values = torch.from_numpy(self.as_float().pixels) * 255
         return values.add_(0.5).clamp_(0, 255).to(torch.uint8).numpy()
 
     def rgb(self) -> Pixels:

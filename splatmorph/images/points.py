@@ -235,13 +235,15 @@ _FIXED = {".tem": _read_tem, ".pts": _read_pts}
 
 def _numbers(path: Path, rows: Sequence[str], count: int) -> np.ndarray:
     try:
-        values = np.array([[float(cell) for cell in row.split()] for row in rows])
+        values = [[float(cell) for cell in row.split()] for row in rows]
     except ValueError as error:
         raise ReadError(f"{path} holds a line that is no point: {error}") from error
-    if values.shape != (count, 2):
-        shape = "x".join(map(str, values.shape))
-        raise ReadError(f"{path} announces {count} points of two coordinates but holds {shape}")
-    return values
+    if len(values) != count or any(len(row) != 2 for row in values):
+        raise ReadError(
+            f"{path} announces {count} points, expected as many lines of two numbers, "
+            f"found {sum(len(row) == 2 for row in values)}"
+        )
+    return np.array(values).reshape(-1, 2)
 
 
 def _text(path: Path) -> str:

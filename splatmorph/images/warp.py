@@ -21,8 +21,8 @@ EDGES = {"edge": "border", "reflect": "reflection", "zero": "zeros"}
 
 INTERPOLATIONS = ("bilinear", "bicubic")
 
-COARSEST, FINEST = 32.0, 2.0
-"""Pixels between the nodes of a lattice, the range that is tried."""
+SPACINGS = (32.0, 16.0, 8.0, 4.0, 2.0)
+"""Pixels between the nodes of a lattice, as they are tried."""
 
 PROBES = 1024
 ENDS = (-1.0, 1.0)
@@ -108,7 +108,7 @@ class FlowWarp:
         """How this canvas is warped, found once.
 
         The error is measured at ``PROBES`` pixels drawn with a fixed seed. Where even the
-        finest lattice misses the tolerance it is taken all the same, with its error.
+        finest lattice misses the tolerance, the best is taken, with its error.
         """
         if canvas not in self._routes:
             self._routes[canvas] = self._find_route(canvas)
@@ -122,17 +122,26 @@ class FlowWarp:
         exact = self.flow.trajectory(torch.cat([probes, canvas.border(4)]), ENDS)
         reach = float((exact.abs().amax((0, 1)) / torch.tensor(canvas.half)).max())
         reach = MARGIN * min(max(1.0, reach), FARTHEST)
-        spacing = COARSEST
-        while True:
+        best: Route | None = None
+        for flow, spacing in self._candidates(canvas, reach):
             lattice = Lattice(canvas, spacing)
-            exists = isinstance(self.flow, TRUE_FLOWS)
-            flow = tabulated(self.flow, canvas, spacing, reach) if exists else self.flow
             values = flow.trajectory(lattice.points.to(torch.float32), ENDS)
             missed = (lattice.at_pixels(values, x, y) - exact[:, :PROBES]).norm(dim=-1)
             route = Route(flow, lattice, float(missed.max()) / canvas.pixel)
-            if route.error <= self.tolerance or spacing <= FINEST:
-                return route
-            spacing /= 2
+            if best is None or route.error < best.error:
+                best = route
+            if best.error <= self.tolerance:
+                break
+        assert best is not None
+        return best
+
+    def _candidates(self, canvas: Canvas, reach: float) -> Iterator[tuple[Flow, float]]:
+        if isinstance(self.flow, TRUE_FLOWS):
+            for spacing in SPACINGS:
+                yield tabulated(self.flow, canvas, spacing, reach), spacing
+        if not isinstance(self.flow, Node):  # whose table is as good as its lattice
+            for spacing in SPACINGS:
+                yield self.flow, spacing
 
 
 def sample(
