@@ -55,7 +55,7 @@ def polar_rotation(jacobians: Tensor) -> Tensor:
         following = 0.5 * (rotation + cofactors / determinant)
         change = (following - rotation).abs().nan_to_num(0).amax() if len(determinant) else 0
         rotation = following
-        if change < 1e-9:
+        if change < 1e-6:
             break
     identity = torch.eye(3).to(rotation)[:, :, None]
     return torch.where(rotation.isfinite().all(0).all(0), rotation, identity)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 
@@ -16,8 +17,14 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.quaternions import from_matrices, product
 from splatmorph.sh import rotate_sh
 
-BLOCK = 1 << 12
-"""Splats whose shapes are carried at a time, through all times: what they need stays in cache."""
+KNOTS = 8
+"""Moments a unit of t at which shapes are worked out; in between they are interpolated."""
+
+BLOCK = 1 << 13
+"""Splats whose Jacobians are held at a time."""
+
+CHANNELS = (4, 3, 4)
+"""A shape at a moment: quaternion, log scales, and the rotation P as a quaternion."""
 
 Frames = Callable[[int], Gaussians]
 Transport = Callable[[Gaussians, Flow, Sequence[float]], Frames]
@@ -36,68 +43,75 @@ def move_shapes(
 ) -> Frames:
     """Splats turn with the flow, Σ' = P Σ Pᵀ, or with ``stretch`` take its whole J Σ Jᵀ.
 
-    P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both.
+    P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. The
+    shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
-    path, jacobians = flow.trajectory_jacobian(gaussians.means, times)
-    shapes = _Shapes.like(gaussians, len(times))
+    signs = [sign for sign in (1, -1) if any(sign * t > 0 for t in times)]
+    knots = {sign: _knots(max(sign * t for t in times)) for sign in signs}
+    stops = [*times, *(sign * k / KNOTS for sign in signs for k in knots[sign])]
+    path = gaussians.means.new_empty(len(times), len(gaussians), 3)
+    shapes = {
+        sign: gaussians.quats.new_empty(len(knots[sign]), len(gaussians), sum(CHANNELS))
+        for sign in signs
+    }
     for start in range(0, len(gaussians), BLOCK):
-        _carry(gaussians, jacobians, times, shapes, slice(start, start + BLOCK), stretch)
+        block = slice(start, start + BLOCK)
+        moved, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
+        path[:, block] = moved[: len(times)]
+        quats, log_scales = gaussians.quats[block], gaussians.log_scales[block]
+        sides = jacobians[len(times) :].split([len(knots[sign]) for sign in signs])
+        for sign, side in zip(signs, sides, strict=True):
+            for k, shape in enumerate(_carried(quats, log_scales, side, stretch)):
+                shapes[sign][k, block] = shape
+    slopes = {sign: torch.gradient(shapes[sign], dim=0, edge_order=2)[0] for sign in signs}
 
     def frame(k: int) -> Gaussians:
-        turns = rotation_matrices(shapes.turns[k].T).permute(2, 0, 1)
+        sign = 1 if times[k] > 0 else -1
+        place = abs(times[k]) * KNOTS
+        left = min(int(place), len(knots[sign]) - 2)
+        ends = slice(left, left + 2)
+        shape = _cubic(shapes[sign][ends], slopes[sign][ends], place - left)
+        quats, pushed, turns = shape.split(CHANNELS, dim=-1)
         return replace(
             gaussians,
             means=path[k],
-            quats=shapes.quats[k],
-            log_scales=shapes.log_scales[k],
-            sh=rotate_sh(gaussians.sh, turns),
+            quats=quats,
+            log_scales=pushed if stretch else gaussians.log_scales,
+            sh=rotate_sh(gaussians.sh, rotation_matrices(turns.T).permute(2, 0, 1)),
         )
 
     return frame
 
 
-@dataclass(frozen=True)
-class _Shapes:
-    """What changes beside the centers, at every time and for every splat."""
-
-    quats: Tensor  # (T, n, 4)
-    log_scales: Tensor  # (T, n, 3)
-    turns: Tensor  # (T, n, 4) the rotations P
-
-    @staticmethod
-    def like(gaussians: Gaussians, count: int) -> _Shapes:
-        quats, log_scales = gaussians.quats, gaussians.log_scales
-        return _Shapes(
-            quats.new_empty(count, *quats.shape),
-            log_scales.expand(count, -1, -1).clone(),
-            quats.new_empty(count, *quats.shape),
-        )
+def _knots(reach: float) -> range:
+    """Knots from 0 to ``reach`` and one more, for the slope; but within one unit of t if it is."""
+    last = max(2, math.ceil(reach * KNOTS) + 1)
+    return range((min(last, KNOTS) if reach <= 1 else last) + 1)
 
 
-def _carry(
-    gaussians: Gaussians,
-    jacobians: Tensor,
-    times: Sequence[float],
-    shapes: _Shapes,
-    block: slice,
-    stretch: bool,
-) -> None:
-    quats, log_scales = gaussians.quats[block].double(), gaussians.log_scales[block].T.double()
-    # Outward from t = 0 in both directions, so that each moment begins at the axes before it.
-    for sign in (1, -1):
-        axes, turn = quats, quats.new_tensor([1.0, 0, 0, 0])
-        ahead = [k for k, t in enumerate(times) if sign * t > 0]
-        for k in sorted(ahead, key=lambda k: abs(times[k])):
-            jacobian = jacobians[k, block].double().permute(1, 2, 0).contiguous()
-            rotation = polar_rotation(jacobian)
-            turned = from_matrices(rotation.permute(2, 0, 1))
-            turn = turned * torch.where((turned * turn).sum(-1, keepdim=True) < 0, -1, 1)
-            if stretch:
-                stretching = (rotation[:, :, None] * jacobian[:, None]).sum(0)
-                axes, pushed = stretched_axes(stretching, quats.T, log_scales, axes.T)
-                axes, shapes.log_scales[k, block] = axes.T, pushed.T
-            shapes.quats[k, block] = product(turn, axes).to(shapes.quats)
-            shapes.turns[k, block] = turn.to(shapes.turns)
+def _carried(
+    quats: Tensor, log_scales: Tensor, jacobians: Tensor, stretch: bool
+) -> Iterator[Tensor]:
+    """Shapes (n, 11) after each of the Jacobians (k, n, 3, 3), which lead away from t = 0."""
+    start, scales = quats.double(), log_scales.double()
+    axes, pushed, turn = start, scales, start.new_tensor([1.0, 0, 0, 0])
+    for jacobian in jacobians:
+        jacobian = jacobian.double().permute(1, 2, 0).contiguous()
+        rotation = polar_rotation(jacobian)
+        turned = from_matrices(rotation.permute(2, 0, 1))
+        turn = turned * torch.where((turned * turn).sum(-1, keepdim=True) < 0, -1, 1)
+        if stretch:
+            # The search begins at the axes of the moment before, so they neither flip nor swap.
+            stretching = (rotation[:, :, None] * jacobian[:, None]).sum(0)
+            axes, pushed = (x.T for x in stretched_axes(stretching, start.T, scales.T, axes.T))
+        yield torch.cat([product(turn, axes), pushed, turn], 1)
+
+
+def _cubic(ends: Tensor, slopes: Tensor, s: float) -> Tensor:
+    """The cubic with those two ends, (2, …) at s = 0 and 1, and those slopes there: (…)."""
+    rise = ends[1] - ends[0]
+    bend = (1 - s) * (slopes[0] - rise) + s * (rise - slopes[1])
+    return ends[0] + s * (rise + (1 - s) * bend)
 
 
 COVARIANCES: Mapping[str, Transport] = MappingProxyType(

@@ -14,9 +14,9 @@ from torch import Tensor
 from splatmorph.covariance import polar_rotation, rotation_matrices, stretched_axes
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.transport import COVARIANCES
+from splatmorph.transport import COVARIANCES, KNOTS
 
-TIMES = [k / 200 for k in range(1, 201)]
+TIMES = [k / 100 for k in range(1, 101)]
 
 
 def normal(*shape: int, seed: int = 0) -> Tensor:
@@ -84,16 +84,30 @@ def test_polar_rotation_of_folds_and_flats_is_a_rotation() -> None:
     torch.testing.assert_close(torch.linalg.det(found), torch.ones(4, dtype=torch.float64))
 
 
-@settings(deadline=None, max_examples=20)
-@given(t=st.floats(0.01, 0.99))
-def test_full_pushes_both_halves_by_the_jacobian_of_the_flow(t: float) -> None:
+def pushed_by_the_flow(t: float) -> list[tuple[Tensor, Tensor]]:
+    """Square roots of covariance, found and expected, of both halves of a full morph at t."""
     source, target = random_gaussians(50, seed=1), random_gaussians(30, seed=2)
     flow = affine_flow()
-    morphed = Morph(source, target, flow, covariance="full").at(t)
-    for part, whole, time in ((slice(50), source, t), (slice(50, None), target, t - 1)):
+    found = square_roots(Morph(source, target, flow, covariance="full").at(t))
+    expected = []
+    for whole, time in ((source, t), (target, t - 1)):
         jacobian = flow.trajectory_jacobian(whole.means, [time])[1][0].double()
-        error = whitened_error(square_roots(morphed)[part], jacobian @ square_roots(whole))
-        assert error.max() < 1e-3
+        expected.append(jacobian @ square_roots(whole))
+    return [(found[:50], expected[0]), (found[50:], expected[1])]
+
+
+@pytest.mark.parametrize("knot", range(1, KNOTS))
+def test_full_pushes_both_halves_by_the_jacobian_of_the_flow(knot: int) -> None:
+    for found, expected in pushed_by_the_flow(knot / KNOTS):
+        assert whitened_error(found, expected).max() < 1e-3
+
+
+@settings(deadline=None, max_examples=20)
+@given(t=st.floats(0.01, 0.99))
+def test_full_is_interpolated_closely_between_knots(t: float) -> None:
+    for found, expected in pushed_by_the_flow(t):
+        assert whitened_error(found, expected).median() < 2e-3
+        assert whitened_error(found, expected).max() < 0.05
 
 
 def test_rotate_turns_by_the_polar_rotation_and_keeps_scales() -> None:
@@ -120,7 +134,7 @@ def test_a_rigid_turn_is_the_same_in_rotate_and_full() -> None:
 @pytest.mark.parametrize("covariance", COVARIANCES)
 @pytest.mark.parametrize("sign", [1, -1])
 def test_axes_move_without_a_jump_even_through_several_turns(covariance: str, sign: int) -> None:
-    source = random_gaussians(200, seed=5)
+    source = random_gaussians(100, seed=5)
     swirl = torch.tensor([[0.3, -9, 1], [9, -0.2, 0], [0.5, 0, 0.2]])
     morph = Morph(source, source, AffineFlow(swirl, torch.zeros(3)), covariance=covariance)
     times = [0.0, *TIMES[:-1]] if sign > 0 else [1.0, *TIMES[-2::-1]]

@@ -61,14 +61,14 @@ def test_is_the_papers_union(t: float) -> None:
 def test_a_sequence_is_its_moments_from_one_integration_a_half(covariance: str) -> None:
     flow = affine_flow()
     morph = Morph(SOURCE, TARGET, flow, covariance=covariance, ease="smooth")
-    times = [0.75, 0, 0.5, 1, 0.5, 0.25, -0.5, 1.5]
+    times = [0.75, 0, 0.5, 1, 0.5, 0.2, -0.5, 1.5]
     frames = list(morph.sequence(times))
     assert flow.calls == 2
     assert same_bits(frames[2], frames[4])
     for t, frame in zip(times, frames, strict=True):
         alone = morph.at(t)
-        torch.testing.assert_close(frame.means, alone.means)
-        assert torch.equal(frame.opacity_logits, alone.opacity_logits)
+        for name in ("means", "quats", "log_scales", "opacity_logits", "sh"):
+            torch.testing.assert_close(getattr(frame, name), getattr(alone, name))
 
 
 @every_ramp
