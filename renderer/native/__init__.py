@@ -68,7 +68,7 @@ class _Memory:
             "lists": kernel.PARTS * part_entries,
             "entries": kernel.PARTS * part_entries,
             "kept": tiles * TILE_FLOATS,
-            "open_rows": 4 * tiles,
+            "open_rows": 3 * tiles,
         }
         memory = kernel.Memory()
         for name, size in sizes.items():

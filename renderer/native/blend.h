@@ -6,77 +6,90 @@ auto exp16 = [&](Floats p) -> Floats {
     return e * e;
 };
 
-auto write_pixels = [&](const Pixels& tile, int left, int top) {
+// Three vectors of 16 pixels' red, green and blue as 48 floats in the order of the picture.
+auto interleave = [&](Floats red, Floats green, Floats blue, float* out) {
+    const auto a = __builtin_shufflevector(red, green, 0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5);
+    const auto b = __builtin_shufflevector(red, green, 21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26);
+    const auto c = __builtin_shufflevector(red, green, 0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0);
+    store(out, __builtin_shufflevector(a, blue, 0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15));
+    store(out + 16, __builtin_shufflevector(b, blue, 0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15));
+    store(out + 32, __builtin_shufflevector(c, blue, 26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31));
+};
+
+// Rows of a tile that no later splat changes go to the picture.
+auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
     #pragma clang fp contract(fast)
-    const int wide = view.width - left < LANES ? view.width - left : LANES;
-    const int high = view.height - top < ROWS ? view.height - top : ROWS;
-    for (int r = 0; r < high; ++r) {
+    const int wide = view.width - left;
+    for (int r = first; r <= last; ++r) {
         const long at = (long)(top + r) * view.width + left;
-        const Floats clear = __builtin_elementwise_abs(tile.clear[r]), alpha = 1.f - clear;
-        const Floats red = tile.red[r] + clear * background[0], green = tile.green[r] + clear * background[1],
-                     blue = tile.blue[r] + clear * background[2];
-        const Floats depth = tile.depth[r] / (alpha > 0.f ? alpha : all(1.f));
-        for (int lane = 0; lane < wide; ++lane) {
-            rgb[3 * (at + lane)] = red[lane];
-            rgb[3 * (at + lane) + 1] = green[lane];
-            rgb[3 * (at + lane) + 2] = blue[lane];
-            alphas[at + lane] = alpha[lane];
-            depths[at + lane] = depth[lane];
+        const Floats clear = __builtin_elementwise_abs(rows[r].clear), alpha = 1.f - clear;
+        const Floats depth = rows[r].depth / (alpha > 0.f ? alpha : all(1.f));
+        float pixels[5 * LANES];
+        float* out[3] = {pixels, pixels + 3 * LANES, pixels + 4 * LANES};
+        if (wide >= LANES) out[0] = rgb + 3 * at, out[1] = alphas + at, out[2] = depths + at;
+        interleave(rows[r].red + clear * background[0], rows[r].green + clear * background[1],
+                   rows[r].blue + clear * background[2], out[0]);
+        store(out[1], alpha);
+        store(out[2], depth);
+        for (int i = 0; i < wide && wide < LANES; ++i) {
+            for (int channel = 0; channel < 3; ++channel)
+                rgb[3 * (at + i) + channel] = pixels[3 * i + channel];
+            alphas[at + i] = pixels[3 * LANES + i];
+            depths[at + i] = pixels[4 * LANES + i];
         }
+    }
+};
+
+// One splat over rows first to last of a tile.
+auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last) {
+    #pragma clang fp contract(fast)
+    const Floats none = all(0.f);
+    const Floats dx = x - s.x;
+    const float yy = s.conic_yy * (-0.5f / 16);
+    const Floats across = dx * dx * (s.conic_xx * (-0.5f / 16)) + s.log_opacity * (1.f / 16);
+    const Floats slant = dx * (s.conic_xy * (-1.f / 16));
+    const Floats red = all(s.red), green = all(s.green), blue = all(s.blue), depth = all(s.depth);
+    float dy = first + y - s.y;
+    for (int r = first; r <= last; ++r, dy += 1.f) {
+        const Floats power = across + (slant + yy * dy) * dy;
+        // Far outside, the polynomial may overflow; such lanes are not taken.
+        const Floats alpha = power >= LOG_ALPHA_MIN / 16 ? smaller(exp16(power), all(ALPHA_MAX)) : none;
+        const Floats before = rows[r].clear;
+        const Floats after = before - alpha * before;
+        const Ints finished = after < CLEAR_MIN;
+        const Floats weight = finished ? none : alpha * before;
+        rows[r].clear = finished ? -__builtin_elementwise_abs(before) : after;
+        rows[r].red += weight * red;
+        rows[r].green += weight * green;
+        rows[r].blue += weight * blue;
+        rows[r].depth += weight * depth;
     }
 };
 
 // Blend the slab's splats into one tile, front to back.
 auto blend_tile = [&](int t) {
-    #pragma clang fp contract(fast)
     Tile& open = open_rows[t];
     const int begin = starts[t], end = starts[t + 1];
     if (open.first > open.last || (begin == end && !state.last_slab)) return;
     const int left = t % columns * LANES, top = t / columns * ROWS;
-    const Floats x = lane_index + (left + 0.5f);
-    Pixels tile;
-    if (open.touched) tile = kept[t];
-    else for (int r = 0; r < ROWS; ++r) {
-        tile.red[r] = tile.green[r] = tile.blue[r] = tile.depth[r] = all(0.f);
-        tile.clear[r] = all(1.f);
-    }
     int first = open.first, last = open.last;
-    const Floats none = all(0.f), dimmest = all(CLEAR_MIN);
-    const Floats threshold = all(LOG_ALPHA_MIN / 16);
+    Row rows[ROWS];
+    for (int r = first; r <= last; ++r)
+        rows[r] = open.touched ? kept[t * ROWS + r] : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
     for (int j = begin; j < end; ++j) {
         __builtin_prefetch(splats + Entry::id(entries[j + 8 < end ? j + 8 : j]));
-        const Word entry = entries[j];
-        const Splat& s = splats[Entry::id(entry)];
-        const int r0 = Entry::first(entry) > first ? Entry::first(entry) : first;
-        const int r1 = Entry::last(entry) < last ? Entry::last(entry) : last;
-        const Floats dx = x - s.x;
-        const float yy = s.conic_yy * (-0.5f / 16);
-        const Floats across = dx * dx * (s.conic_xx * (-0.5f / 16)) + s.log_opacity * (1.f / 16);
-        const Floats slant = dx * (s.conic_xy * (-1.f / 16));
-        const Floats red = all(s.red), green = all(s.green), blue = all(s.blue), depth = all(s.depth);
-        float dy = (float)(top + r0) + 0.5f - s.y;
-        for (int r = r0; r <= r1; ++r, dy += 1.f) {
-            const Floats power = across + (slant + yy * dy) * dy;
-            Floats alpha = smaller(exp16(larger(power, all(-0.36f))), all(ALPHA_MAX));
-            alpha = power >= threshold ? alpha : none;
-            const Floats before = tile.clear[r];
-            Floats weight = alpha * before;
-            const Floats after = before - weight;
-            const Ints finished = after < dimmest;
-            tile.clear[r] = finished ? -__builtin_elementwise_abs(before) : after;
-            weight = finished ? none : weight;
-            tile.red[r] += weight * red;
-            tile.green[r] += weight * green;
-            tile.blue[r] += weight * blue;
-            tile.depth[r] += weight * depth;
-        }
+        const int r0 = Entry::first(entries[j]), r1 = Entry::last(entries[j]);
+        blend_splat(splats[Entry::id(entries[j])], lane_index + (left + 0.5f), top + 0.5f, rows,
+                    r0 > first ? r0 : first, r1 < last ? r1 : last);
         if ((j & 15) == 15 || j == end - 1) {
-            while (first <= last && __builtin_reduce_max(tile.clear[first]) < 0.f) ++first;
-            while (last >= first && __builtin_reduce_max(tile.clear[last]) < 0.f) --last;
+            while (first <= last && __builtin_reduce_max(rows[first].clear) < 0.f) ++first;
+            while (last >= first && __builtin_reduce_max(rows[last].clear) < 0.f) --last;
             if (first > last) break;
         }
     }
-    open.first = first, open.last = last, open.touched = 1;
-    if (state.last_slab || first > last) write_pixels(tile, left, top);
-    else kept[t] = tile;
+    if (state.last_slab) first = last + 1;
+    write_rows(rows, left, top, open.first, first - 1);
+    write_rows(rows, left, top, last + 1, open.last);
+    for (int r = first; r <= last; ++r) kept[t * ROWS + r] = rows[r];
+    open = Tile{first, last, 1};
 };

@@ -32,13 +32,16 @@ auto begin_sort = [&]() {
     state.passes = (bits + RADIX_BITS - 1) / RADIX_BITS;
     state.digit_bits = (bits + state.passes - 1) / state.passes;
     state.pass = 0;
-    state.slab_size = state.visible / 3 + 1;
+    // A slab hides what is behind it from listing and colouring, but its pixels are kept and
+    // fetched again: worth it where splats are many for the pixels.
+    const long dense = 8L * state.visible / ((long)view.width * view.height);
+    state.slab_size = state.visible / (dense < 2 ? dense + 1 : 3) + 1;
 };
 
 auto open_tiles = [&]() {
     for (int t = 0; t < tiles; ++t) {
         const int below = view.height - t / columns * ROWS;
-        open_rows[t] = Tile{0, (below < ROWS ? below : ROWS) - 1, 0, 0};
+        open_rows[t] = Tile{0, (below < ROWS ? below : ROWS) - 1, 0};
     }
 };
 

@@ -13,9 +13,9 @@ struct State {
     unsigned part_lowest[PARTS], part_highest[PARTS];
 };
 
-// The rows of a tile that are still open, and whether pixels were kept from an earlier slab.
+// The rows of a tile that are still open, and whether an earlier slab has kept them.
 struct Tile {
-    int first, last, touched, spare;
+    int first, last, touched;
 };
 
 // A projected splat is one cache line.
@@ -28,10 +28,10 @@ struct Splat {
     float red, green, blue, depth;
 };
 
-// Pixels of one tile, row by row: sums of colour and depth, and what is left of the light,
-// whose sign is negative where the pixel is finished.
-struct Pixels {
-    Floats red[ROWS], green[ROWS], blue[ROWS], depth[ROWS], clear[ROWS];
+// A row of a tile: sums of colour and depth, and what is left of the light behind, whose sign
+// is negative where the pixel is finished.
+struct Row {
+    Floats red, green, blue, depth, clear;
 };
 
 const float *means = means_in.data, *quats = quats_in.data, *scales = scales_in.data;
@@ -44,7 +44,7 @@ unsigned* keys[2] = {(unsigned*)memory.keys.data, (unsigned*)memory.keys.data + 
 int* ids[2] = {memory.ids.data, memory.ids.data + n};
 int *digits = memory.digits.data, *counts = memory.counts.data, *starts = memory.starts.data;
 Word *lists = (Word*)memory.lists.data, *entries = (Word*)memory.entries.data;
-Pixels* kept = (Pixels*)memory.kept.data;
+Row* kept = (Row*)memory.kept.data;
 Tile* open_rows = (Tile*)memory.open_rows.data;
 
 const int list_size = (int)(memory.lists.shape[0] / PARTS);
