@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 
@@ -9,7 +10,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError
-from splatmorph.fit.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions, shape_of
+from splatmorph.fit.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions
 from splatmorph.fit.objectives import (
     ConjugateObjective,
     IfmorphObjective,
@@ -21,12 +22,14 @@ from splatmorph.fit.solve import Record, solve_displacement, solve_spline
 from splatmorph.fit.train import Objective, train
 from splatmorph.flows import Conjugate, Displacement, Flow, Ifmorph, Node, SplineField
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import flow_laws, landmark_mse
+from splatmorph.metrics import Quality, evaluate
 
 __all__ = ["ENERGIES", "FitConfig", "FitProgress", "FitReport", "FitState", "fit"]
 
 DEFAULTS = FitConfig()
 """The settings of a fit that is asked for nothing else."""
+PROBES = 256
+"""Points of the object at which a report looks."""
 INTEGRATION_SHARE = 0.1
 """The integration error may be this part of the root mean squared landmark error …"""
 INTEGRATION_FLOOR = 2e-6
@@ -140,55 +143,40 @@ def _report(
     finished: bool,
 ) -> FitReport:
     generator = torch.Generator().manual_seed(config.seed)
-    object_points = torch.cat([p, q]) if domain is None else domain.to(p)
+    everywhere = torch.cat([p, q]) if domain is None else domain.to(p)
+    probes = everywhere[torch.randperm(len(everywhere), generator=generator)[:PROBES]]
     if isinstance(flow, Node):
-        unit = flow.to_unit(torch.cat([p, q, object_points[:1000]]))
         rms = (history[-1].mse if history else 0.0) ** 0.5
-        flow.steps = choose_steps(flow, unit, max(INTEGRATION_SHARE * rms, INTEGRATION_FLOOR))
-    square = float(flow.scale) ** 2
-    before = float((p - q).square().mean())
-    after = landmark_mse(flow, p, q)
-    missed = (flow(p, 1.0) - q).norm(dim=1)
-    if not torch.isfinite(missed).all():
+        accuracy = max(INTEGRATION_SHARE * rms, INTEGRATION_FLOOR)
+        flow.steps = choose_steps(flow, flow.to_unit(torch.cat([p, q, probes])), accuracy)
+    quality = evaluate(flow, p, q, names, probes, config.seed)
+    if not math.isfinite(quality.mse):
         raise NonFiniteError(
             "the fitted flow is NaN or infinite at its landmarks: look for landmarks that "
             "contradict each other, or raise the smoothing"
         )
-    order = missed.argsort(descending=True).tolist()
-    errors = {names[i]: float(missed[i]) for i in order}
-    shape = shape_of(flow, object_points, generator)
     warnings = contradictions(p, q, names)
-    if shape.det_min < SQUEEZED:
-        does = "folds" if shape.det_min <= 0 else "squeezes"
-        where = ", ".join(f"{value:.4g}" for value in shape.det_min_at)
-        warnings.append(f"the warp {does} (det {shape.det_min:.2g}) near ({where})")
+    if quality.det_min < SQUEEZED:
+        does = "folds" if quality.det_min <= 0 else "squeezes"
+        where = ", ".join(f"{value:.4g}" for value in quality.det_min_at)
+        warnings.append(f"the warp {does} (det {quality.det_min:.2g}) near ({where})")
     return FitReport(
+        **vars(quality),
         kind=flow.kind,
         landmarks=len(p),
-        scale=float(flow.scale),
-        mse_before=before / square,
-        mse=after / square,
-        mse_world_before=before,
-        mse_world=after,
-        errors=errors,
-        laws=flow_laws(flow, object_points[:1000]),
-        det_min=shape.det_min,
-        det_max=shape.det_max,
-        det_min_at=shape.det_min_at,
-        energy_first=shape.energy_first,
-        energy_second=shape.energy_second,
         steps=history[-1].step if history else 0,
         seconds=seconds,
         interrupted=not finished,
-        status=_status(after / square, errors, finished),
+        status=_status(quality, finished),
         warnings=tuple(warnings),
         history=tuple(history),
     )
 
 
-def _status(mse: float, errors: dict[str, float], finished: bool) -> str:
+def _status(quality: Quality, finished: bool) -> str:
     how = "" if finished else "interrupted, the best so far is kept: "
-    if mse**0.5 < MISSED:
+    if quality.mse**0.5 < MISSED:
         return f"{how}landmarks met"
-    worst = ", ".join(f"{name} by {error:.3g}" for name, error in list(errors.items())[:3])
-    return f"{how}landmarks missed, worst {worst}"
+    worst = list(quality.errors.items())[:3]
+    named = ", ".join(f"{name} by {error:.3g}" for name, error in worst)
+    return f"{how}landmarks missed, worst {named}"

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
-from splatmorph.flows import Flow, Node
+from splatmorph.flows import Node
 
 STRETCH = 20.0
 """Neighbouring landmarks that come this many times closer or farther contradict each other."""
@@ -16,44 +14,6 @@ MISSED = 1e-2
 SQUEEZED = 0.05
 """det ∂Φ/∂x below which the warp is said to squeeze."""
 MOST_WARNINGS = 5
-PROBES = 256
-
-
-@dataclass(frozen=True)
-class Shape:
-    """How a fitted warp treats the object."""
-
-    det_min: float
-    det_max: float
-    det_min_at: tuple[float, ...]
-    energy_first: float
-    energy_second: float
-
-
-def shape_of(flow: Flow, points: Tensor, generator: torch.Generator) -> Shape:
-    """Determinants over ``points`` (m, dim) in the world, energies over the box around them."""
-    chosen = points[torch.randperm(len(points), generator=generator)[:PROBES]]
-    det = torch.linalg.det(flow.jacobian(chosen, 1.0))
-    worst = int(det.argmin())
-    low, high = points.amin(0), points.amax(0)
-    box = low + torch.rand(PROBES, flow.dim, generator=generator).to(low) * (high - low)
-    slope = flow.velocity_jacobian(box)
-    return Shape(
-        det_min=float(det.min()),
-        det_max=float(det.max()),
-        det_min_at=tuple(chosen[worst].tolist()),
-        energy_first=float(slope.square().sum((1, 2)).mean()),
-        energy_second=_second_energy(flow, box),
-    )
-
-
-def _second_energy(flow: Flow, x: Tensor, step: float = 1e-2) -> float:
-    # Central differences, so that it is had for every kind of flow.
-    total = 0.0
-    for axis in torch.eye(flow.dim).to(x) * (step * flow.scale.to(x)):
-        bend = (flow.velocity_jacobian(x + axis) - flow.velocity_jacobian(x - axis)) / (2 * step)
-        total += float(bend.square().sum((1, 2)).mean())
-    return total
 
 
 def contradictions(p: Tensor, q: Tensor, names: tuple[str, ...]) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 from torch import Tensor
 
 from splatmorph.errors import OptionError
-from splatmorph.metrics import FlowLaws
+from splatmorph.metrics import Quality
 
 ENERGIES = ("jacobian", "hessian")
 
@@ -62,32 +62,11 @@ class FitState:
 
 
 @dataclass(frozen=True)
-class FitReport:
-    """What a fit achieved. Squared errors are means a coordinate, the others are distances."""
+class FitReport(Quality):
+    """What a fit achieved: the flow's quality, and how it came about."""
 
     kind: str
     landmarks: int
-    scale: float
-    """World units a frame unit: half the longest side of the landmarks' common box."""
-    mse_before: float
-    """The paper's landmark metric of doing nothing, frame units squared."""
-    mse: float
-    """The paper's landmark metric of the fitted flow, frame units squared."""
-    mse_world_before: float
-    mse_world: float
-    """The same two in world units squared."""
-    errors: dict[str, float]
-    """|Φ(p, 1) - q| of each landmark, world units, by name, the worst first."""
-    laws: FlowLaws
-    det_min: float
-    """Least det ∂Φ/∂x(·, 1) over the object; below 0 the warp folds."""
-    det_max: float
-    det_min_at: tuple[float, ...]
-    """Where it is least, world units."""
-    energy_first: float
-    """Mean |∂v/∂x|² over the object's box: the paper's regulariser."""
-    energy_second: float
-    """Mean |∂²v/∂x²|² in frame units over the same box: the thin-plate energy."""
     steps: int
     seconds: float
     """Time to fit, without this report."""

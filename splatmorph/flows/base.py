@@ -48,7 +48,9 @@ class Flow(nn.Module):
 
     def _to_world(self, x: Tensor, start: Tensor, moved: Tensor) -> Tensor:
         # As a displacement, so that no rounding moves a point that the flow leaves in place.
-        return x + self.scale.to(x) * (moved - start)
+        if moved.requires_grad:
+            return x + self.scale.to(x) * (moved - start)
+        return torch.addcmul(x, moved - start, self.scale.to(x))
 
     def velocity(self, x: Tensor) -> Tensor:
         """∂Φ/∂t(x, 0): (m, dim) world points -> (m, dim) world units per unit of t."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +15,8 @@ from splatmorph.flows.spline import SplineField
 
 Field = SplineField | SirenField
 
+NATIVE_FROM = 2000
+"""Points from which the C++ kernels are worth loading."""
 DEFAULT_STEPS = 16
 """Runge-Kutta steps a unit of t, where ``fit`` has not chosen better."""
 
@@ -58,15 +59,53 @@ class Node(Flow):
         if not column.numel():
             return u
         count = math.ceil(float(column.abs().max()) * self.steps - 1e-9)
+        if count and column.ndim == 0 and self._natively(u):
+            from splatmorph.flows.native import kernel
+
+            h = float(column) / count
+            return kernel.knots(self.field, u, h, count, jacobian=False, every=False)[0][0]
         return runge_kutta(self.field, u, column, count)
 
     def unit_trajectory(
         self, u: Tensor, times: list[float], *, jacobian: bool
     ) -> tuple[Tensor, Tensor | None]:
         """Φ(u, t) for every t and, where asked, the Jacobian carried along the path."""
-        return _dense_output(
-            self._rates(jacobian), _joint(u, jacobian), times, self.steps, self.dim
-        )
+        start = _joint(u, jacobian)
+        out = start.expand(len(times), *start.shape).clone()
+        for sign in (1.0, -1.0):
+            wanted = [(sign * t * self.steps, i) for i, t in enumerate(times) if sign * t > 0]
+            if wanted:
+                count = math.ceil(max(wanted)[0] - 1e-9)
+                _dense_output(
+                    out, wanted, *self._knots(u, sign, count, jacobian), sign / self.steps
+                )
+        if not jacobian:
+            return out, None
+        return out[..., : self.dim], out[..., self.dim :].unflatten(2, (self.dim, self.dim))
+
+    def _natively(self, u: Tensor) -> bool:
+        """Whether the C++ kernels take these points: worth loading, and no gradient asked for."""
+        if len(u) < NATIVE_FROM or u.dtype != torch.float32 or u.device.type != "cpu":
+            return False
+        if u.requires_grad or any(p.requires_grad for p in self.field.parameters()):
+            return False
+        from splatmorph.flows.native import kernel
+
+        return kernel.takes(self.field)
+
+    def _knots(self, u: Tensor, sign: float, count: int, jacobian: bool) -> tuple[Tensor, Tensor]:
+        """States and rates at the knots 0, 1/steps, … count/steps, forwards or backwards."""
+        if self._natively(u):
+            from splatmorph.flows.native import kernel
+
+            return kernel.knots(self.field, u, sign / self.steps, count, jacobian=jacobian)
+        rates = self._rates(jacobian)
+        states = [_joint(u, jacobian)]
+        slopes = [rates(states[0])]
+        for _ in range(count):
+            states.append(runge_kutta_step(rates, states[-1], sign / self.steps, slopes[-1]))
+            slopes.append(rates(states[-1]))
+        return torch.stack(states), torch.stack(slopes)
 
     def _rates(self, jacobian: bool) -> Callable[[Tensor], Tensor]:
         if not jacobian:
@@ -108,30 +147,14 @@ def _joint(u: Tensor, jacobian: bool) -> Tensor:
 
 
 def _dense_output(
-    rates: Callable[[Tensor], Tensor], start: Tensor, times: list[float], steps: int, dim: int
-) -> tuple[Tensor, Tensor | None]:
-    out = start.expand(len(times), *start.shape).clone()
-    for sign in (1, -1):
-        wanted = deque(sorted((sign * t, i) for i, t in enumerate(times) if sign * t > 0))
-        if not wanted:
-            continue
-        x, rate, end = start, rates(start), 0
-        while wanted:
-            end += 1
-            following = runge_kutta_step(rates, x, sign / steps, rate)
-            following_rate = rates(following)
-            while wanted and wanted[0][0] * steps <= end + 1e-9:
-                t, i = wanted.popleft()
-                s = t * steps - (end - 1)
-                out[i] = _hermite(x, rate, following, following_rate, sign / steps, s)
-            x, rate = following, following_rate
-    if start.shape[1] == dim:
-        return out, None
-    return out[..., :dim], out[..., dim:].unflatten(2, (dim, dim))
-
-
-def _hermite(a: Tensor, va: Tensor, b: Tensor, vb: Tensor, h: float, s: float) -> Tensor:
-    # The cubic through a and b with slopes va and vb over an interval of length h, at s in [0, 1].
-    rise = b - a
-    left, right = h * va - rise, rise - h * vb
-    return a + s * (rise + (1 - s) * ((1 - s) * left + s * right))
+    out: Tensor, wanted: list[tuple[float, int]], states: Tensor, rates: Tensor, h: float
+) -> None:
+    """Fill out[i] at every wanted (time in steps, i) by the cubic of the interval it lies in."""
+    for position, i in wanted:
+        knot = min(int(position), len(states) - 2)
+        s = position - knot
+        # Hermite's basis, in passes that need no memory of their own.
+        torch.mul(states[knot], (1 + 2 * s) * (1 - s) ** 2, out=out[i])
+        out[i].add_(states[knot + 1], alpha=s * s * (3 - 2 * s))
+        out[i].add_(rates[knot], alpha=h * s * (1 - s) ** 2)
+        out[i].add_(rates[knot + 1], alpha=h * s * s * (s - 1))

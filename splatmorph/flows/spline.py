@@ -64,6 +64,8 @@ class SplineField(nn.Module):
     def _value(self, u: Tensor) -> Tensor:
         affine = self.affine.to(u)
         straight = torch.addmm(affine[0], u, affine[1:])
+        if not len(self.centers):
+            return straight
         return torch.addmm(straight, self.kernel(u, self.centers.to(u)), self.weights.to(u))
 
     def _jacobian(self, u: Tensor) -> Tensor:

@@ -1,0 +1,155 @@
+# mypy: ignore-errors
+# Warp's annotations are values, which a type checker can't read.
+"""``path.h`` as Warp kernels, one for each dimension, with and without Jacobians."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
+
+import torch
+import warp as wp
+
+from splatmorph.flows.siren import SirenField
+from splatmorph.flows.spline import SplineField
+
+if hasattr(wp.config, "log_level"):
+    wp.config.log_level = wp.LOG_ERROR  # a library prints nothing
+else:
+    wp.config.quiet = True
+
+wp.init()
+
+MOST_WIDTH = 256
+"""Widest network that ``path.h`` has room for."""
+WIDTH_STEP = 4
+
+
+@cache
+def _kernel(dim: int, jacobian: bool):
+    source = Path(__file__).with_name("path.h").read_text(encoding="utf-8")
+    constants = f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n"
+
+    @wp.func_native(constants + source)
+    def integrate_natively(
+        starts: wp.array(dtype=float),
+        affine: wp.array(dtype=float),
+        spline: wp.array(dtype=float),
+        network: wp.array(dtype=float),
+        count: int,
+        width: int,
+        rounding_squared: float,
+        h: float,
+        steps: int,
+        every: int,
+        part: int,
+        parts: int,
+        states: wp.array(dtype=float),
+        rates: wp.array(dtype=float),
+    ): ...
+
+    @wp.kernel(enable_backward=False, module="unique")
+    def integrate(
+        starts: wp.array(dtype=float),
+        affine: wp.array(dtype=float),
+        spline: wp.array(dtype=float),
+        network: wp.array(dtype=float),
+        count: int,
+        width: int,
+        rounding_squared: float,
+        h: float,
+        steps: int,
+        every: int,
+        part: int,
+        parts: int,
+        states: wp.array(dtype=float),
+        rates: wp.array(dtype=float),
+    ):
+        integrate_natively(
+            starts,
+            affine,
+            spline,
+            network,
+            count,
+            width,
+            rounding_squared,
+            h,
+            steps,
+            every,
+            part,
+            parts,
+            states,
+            rates,
+        )
+
+    return integrate
+
+
+def takes(field: SplineField | SirenField) -> bool:
+    """Whether ``path.h`` knows the field."""
+    return isinstance(field, SplineField) or (
+        field.activation == "sine"
+        and field.depth == 2
+        and field.width <= MOST_WIDTH
+        and field.width % WIDTH_STEP == 0
+    )
+
+
+def knots(
+    field: SplineField | SirenField,
+    u: torch.Tensor,
+    h: float,
+    steps: int,
+    *,
+    jacobian: bool,
+    every: bool = True,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """States and rates after 0 … ``steps`` Runge-Kutta steps of size h, on all of torch's threads.
+
+    ``u`` is (m, dim) float32 on the CPU. -> twice (steps + 1, m, dim or dim + dim²); where not
+    ``every``, only the last state (1, m, …) and rates that mean nothing.
+    """
+    count, dim = u.shape
+    state = dim + dim * dim * jacobian
+    saved = steps + 1 if every else 1
+    states = torch.empty(saved, count, state)
+    rates = torch.empty_like(states) if every else states
+    base = field if isinstance(field, SplineField) else field.base
+    network = torch.zeros(1) if field is base else _packed(field)
+    arrays = [
+        wp.from_torch(tensor.detach().float().contiguous().flatten())
+        for tensor in (u, base.affine, torch.cat([base.centers, base.weights], 1), network)
+    ]
+    outputs = [wp.from_torch(tensor.flatten()) for tensor in (states, rates)]
+    width = 0 if field is base else field.width
+    scalars = [len(base.centers), width, base.rounding**2, h, steps, int(every)]
+    kernel = _kernel(dim, jacobian)
+    parts = 1 if count < 64 else torch.get_num_threads()
+    with wp.ScopedDevice("cpu"):
+        kernel.module.load(wp.get_device("cpu"))
+
+        def launch(part: int) -> None:
+            wp.launch(
+                kernel, dim=1, inputs=[*arrays, *scalars, part, parts, *outputs], device="cpu"
+            )
+
+        if parts == 1:
+            launch(0)
+        else:
+            with ThreadPoolExecutor(parts) as pool:
+                list(pool.map(launch, range(parts)))
+    return states, rates
+
+
+def _packed(field: SirenField) -> torch.Tensor:
+    first, second, last = field.network.weights
+    first_bias, second_bias, last_bias = field.network.biases
+    scales = field.network.omegas
+    hidden = [
+        torch.cat([weight, bias[:, None]], dim=1) * omega
+        for weight, bias, omega in zip(
+            (first, second), (first_bias, second_bias), scales, strict=True
+        )
+    ]
+    return torch.cat([part.flatten() for part in (*hidden, last.T, last_bias)])
