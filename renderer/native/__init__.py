@@ -64,7 +64,7 @@ class _Memory:
             "ids": 2 * n,
             "digits": kernel.PARTS << kernel.RADIX_BITS,
             "counts": kernel.PARTS * tiles,
-            "starts": tiles + 1,
+            "ends": tiles,
             "lists": kernel.PARTS * part_entries,
             "entries": kernel.PARTS * part_entries,
             "kept": tiles * TILE_FLOATS,

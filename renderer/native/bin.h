@@ -118,17 +118,8 @@ auto place_entries = [&]() {
         if (state.part_stop[part] >= 0) parts = part + 1;
     if (parts < PARTS || state.part_stop[PARTS - 1] >= 0) state.slab_end = state.part_stop[parts - 1];
     state.slab_parts = parts;
-    int place = 0;
-    for (int t = 0; t < tiles; ++t) {
-        starts[t] = place;
-        for (int part = 0; part < parts; ++part) {
-            const int count = counts[(long)part * tiles + t];
-            counts[(long)part * tiles + t] = place;
-            place += count;
-        }
-    }
-    starts[tiles] = place;
-    state.entries += place;
+    place_counts(counts, parts, tiles, tiles, ends);
+    state.entries += ends[tiles - 1];
 };
 
 auto fill_part = [&](int part) {

@@ -69,7 +69,7 @@ auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, 
 // Blend the slab's splats into one tile, front to back.
 auto blend_tile = [&](int t) {
     Tile& open = open_rows[t];
-    const int begin = starts[t], end = starts[t + 1];
+    const int begin = t ? ends[t - 1] : 0, end = ends[t];
     if (open.first > open.last || (begin == end && !state.last_slab)) return;
     const int left = t % columns * LANES, top = t / columns * ROWS;
     int first = open.first, last = open.last;

@@ -47,7 +47,7 @@ class Memory:
     ids: wp.array(dtype=int)
     digits: wp.array(dtype=int)
     counts: wp.array(dtype=int)
-    starts: wp.array(dtype=int)
+    ends: wp.array(dtype=int)
     lists: wp.array(dtype=wp.uint64)
     entries: wp.array(dtype=wp.uint64)
     kept: wp.array(dtype=float)

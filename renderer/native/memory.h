@@ -42,7 +42,7 @@ State& state = *(State*)memory.state.data;
 Splat* splats = (Splat*)memory.splats.data;
 unsigned* keys[2] = {(unsigned*)memory.keys.data, (unsigned*)memory.keys.data + n};
 int* ids[2] = {memory.ids.data, memory.ids.data + n};
-int *digits = memory.digits.data, *counts = memory.counts.data, *starts = memory.starts.data;
+int *digits = memory.digits.data, *counts = memory.counts.data, *ends = memory.ends.data;
 Word *lists = (Word*)memory.lists.data, *entries = (Word*)memory.entries.data;
 Row* kept = (Row*)memory.kept.data;
 Tile* open_rows = (Tile*)memory.open_rows.data;

@@ -20,15 +20,29 @@ auto count_digits = [&](int part) {
     for (int i = begin; i < end; ++i) ++count[((key[i] - state.lowest) >> shift) & mask];
 };
 
-// From counts to the place of the first of each digit of each part.
-auto place_digits = [&]() {
-    int place = 0;
-    for (int d = 0; d < (1 << state.digit_bits); ++d)
-        for (int part = 0; part < PARTS; ++part) {
-            const int count = digits[part * RADIX + d];
-            digits[part * RADIX + d] = place;
-            place += count;
+// From counts per part and kind to the place of each part's first of each kind: kinds lie in
+// order, within a kind the parts. Leaves in ends where each kind ends. Row by row, since a walk
+// down a column misses the cache at every step.
+auto place_counts = [&](int* count, int parts, int row, int kinds, int* ends) {
+    for (int kind = 0; kind < kinds; ++kind) ends[kind] = 0;
+    for (int part = 0; part < parts; ++part)
+        for (int kind = 0; kind < kinds; ++kind) ends[kind] += count[(long)part * row + kind];
+    for (int kind = 0, total = 0; kind < kinds; ++kind) {
+        const int many = ends[kind];
+        ends[kind] = total;
+        total += many;
+    }
+    for (int part = 0; part < parts; ++part)
+        for (int kind = 0; kind < kinds; ++kind) {
+            const int many = count[(long)part * row + kind];
+            count[(long)part * row + kind] = ends[kind];
+            ends[kind] += many;
         }
+};
+
+auto place_digits = [&]() {
+    int ends[RADIX];
+    place_counts(digits, PARTS, RADIX, 1 << state.digit_bits, ends);
 };
 
 auto scatter_digits = [&](int part) {
