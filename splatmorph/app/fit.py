@@ -62,7 +62,7 @@ def fit(
     field: Annotated[str | None, Parameter(help="Of the node flow: spline or siren.")] = None,
     smoothing: Annotated[
         float, Parameter(help="Weight of bending against missed landmarks; 0 meets them.")
-    ] = 0.0,
+    ] = FitConfig.smoothing,
     steps: Annotated[int | None, Parameter(help="Most training steps.")] = None,
     posing: Posing = CANONICAL_POSE,
     seed: Seed = 0,
