@@ -56,9 +56,9 @@ class Morph:
         self.target = target
         self.flow = flow
         self.stable_count = stable_count
-        self._ramp = _chosen(RAMPS, ramp, "ramp")
-        self._transport = _chosen(COVARIANCES, covariance, "covariance")
-        self._ease = _chosen(EASES, ease, "ease")
+        self._ramp = chosen(RAMPS, ramp, "ramp")
+        self._transport = chosen(COVARIANCES, covariance, "covariance")
+        self._ease = chosen(EASES, ease, "ease")
 
     def at(self, t: float) -> Gaussians:
         """The morph at t: ``source`` itself at 0 and ``target`` itself at 1, bit for bit."""
@@ -66,9 +66,7 @@ class Morph:
 
     def sequence(self, times: Sequence[float]) -> Iterator[Gaussians]:
         """The morphs at ``times``, in their order (any, repeats too), from one integration."""
-        for t in times:
-            if not math.isfinite(t):
-                raise OptionError(f"t is {t}, expected a finite number (0 source, 1 target)")
+        check_times(times)
         eased = [self._ease(t) for t in times]
         sources = self._half(self.source, eased, leaves=1)
         targets = self._half(self.target, [t - 1 for t in eased], leaves=-1)
@@ -102,7 +100,15 @@ def _joined(source: Gaussians | None, target: Gaussians | None) -> Gaussians:
     return Gaussians.union(source, target)
 
 
-def _chosen(choices: Mapping[str, Choice], name: str, noun: str) -> Choice:
+def check_times(times: Sequence[float]) -> None:
+    """Raise ``OptionError`` where a time is no finite number."""
+    for t in times:
+        if not math.isfinite(t):
+            raise OptionError(f"t is {t}, expected a finite number (0 is the source, 1 the target)")
+
+
+def chosen(choices: Mapping[str, Choice], name: str, noun: str) -> Choice:
+    """The choice called ``name``; raises ``OptionError`` that lists them if there is none."""
     if name not in choices:
         raise OptionError(f"{noun} '{name}' is not one of: {', '.join(choices)}")
     return choices[name]

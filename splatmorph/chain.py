@@ -1,0 +1,115 @@
+"""Several splats: a chain that visits one after the other, and their average."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from functools import reduce
+
+import torch
+
+from splatmorph.errors import LandmarkError, OptionError
+from splatmorph.flows import Flow
+from splatmorph.gaussians import Gaussians
+from splatmorph.landmarks import FEWEST, Landmarks
+from splatmorph.morph import Morph, check_times, chosen
+from splatmorph.ramps import RAMPS
+from splatmorph.transport import COVARIANCES
+
+
+class Chain:
+    """Morphs end to end, A → B → C …, as one morph with t from 0 at A to n - 1 at the n-th.
+
+    At a whole t it is that splat itself, bit for bit; below 0 and above n - 1 the first and the
+    last morph go on.
+
+    Arguments:
+        morphs: the legs in order, each with the target of the one before as its source. An ease
+            of theirs slows time at every splat.
+
+    Raises:
+        OptionError: a leg keeps a stable count, which a chain has not: other splats come and go.
+    """
+
+    def __init__(self, morphs: Sequence[Morph]) -> None:
+        if not morphs:
+            raise ValueError("a chain needs at least one morph")
+        for before, after in zip(morphs, morphs[1:], strict=False):
+            if before.target is not after.source:
+                raise ValueError("each morph of a chain begins with the splat where one ended")
+        if len(morphs) > 1 and any(morph.stable_count for morph in morphs):
+            raise OptionError("a chain of several morphs has no stable count: export them singly")
+        self.morphs = tuple(morphs)
+
+    def at(self, t: float) -> Gaussians:
+        """The chain at t in [0, n - 1], or beyond."""
+        return next(self.sequence([t]))
+
+    def sequence(self, times: Sequence[float]) -> Iterator[Gaussians]:
+        """The chain at ``times``, in their order, from one integration a leg."""
+        check_times(times)
+        legs = [min(max(math.floor(t), 0), len(self.morphs) - 1) for t in times]
+        frames = {
+            leg: self.morphs[leg].sequence(
+                [t - leg for t, own in zip(times, legs, strict=True) if own == leg]
+            )
+            for leg in set(legs)
+        }
+        return (next(frames[leg]) for leg in legs)
+
+
+def average(
+    splats: Sequence[Gaussians],
+    flows: Sequence[Flow],
+    weights: Sequence[float] | None = None,
+    *,
+    ramp: str = "linear",
+    covariance: str = "fixed",
+) -> Gaussians:
+    """One splat that is the average of several.
+
+    Arguments:
+        splats: what to average.
+        flows: as many; each carries its splat at t = 1 to the shape they have in common, that of
+            ``mean_landmarks`` say.
+        weights: how much of each, ≥ 0; divided by their sum. Equal ones if not given.
+        ramp, covariance: as for ``Morph``; the ramp fades each splat to its weight.
+
+    Raises:
+        OptionError: a name that is none of the choices, or weights that are no proportions.
+    """
+    fade, transport = chosen(RAMPS, ramp, "ramp"), chosen(COVARIANCES, covariance, "covariance")
+    weights = [1.0] * len(splats) if weights is None else weights
+    if not len(splats) == len(flows) == len(weights):
+        raise ValueError(f"{len(splats)} splats, {len(flows)} flows, {len(weights)} weights")
+    total = sum(weights)
+    if not (math.isfinite(total) and total > 0 and min(weights) >= 0):
+        raise OptionError(f"weights are {list(weights)}, expected proportions ≥ 0, not all 0")
+    parts = []
+    for gaussians, flow, weight in zip(splats, flows, weights, strict=True):
+        if weight > 0:
+            moved = transport(gaussians, flow, [1.0])(0)
+            parts.append(moved if weight == total else fade(moved, weight / total))
+    return reduce(Gaussians.union, parts)
+
+
+def mean_landmarks(sets: Sequence[Landmarks]) -> Landmarks:
+    """The mean of each landmark that all sets have, by name, in the order of the first set.
+
+    Raises:
+        LandmarkError: a set has no names, or too few are common to all.
+    """
+    if any(one.names is None for one in sets):
+        raise LandmarkError("landmarks without names have no mean: expected named ones in all sets")
+    places = [{name: i for i, name in enumerate(one.names or ())} for one in sets]
+    names = [name for name in places[0] if all(name in place for place in places)]
+    dim = sets[0].dim
+    if len(names) < FEWEST[dim]:
+        raise LandmarkError(
+            f"{len(names)} landmark names are common to all {len(sets)} sets, expected at least "
+            f"{FEWEST[dim]}"
+        )
+    points = [
+        one.points[[place[name] for name in names]] for one, place in zip(sets, places, strict=True)
+    ]
+    return Landmarks(torch.stack(points).mean(0), tuple(names))
