@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from functools import reduce
+from itertools import pairwise
 
 import torch
 
@@ -34,7 +35,7 @@ class Chain:
     def __init__(self, morphs: Sequence[Morph]) -> None:
         if not morphs:
             raise ValueError("a chain needs at least one morph")
-        for before, after in zip(morphs, morphs[1:], strict=False):
+        for before, after in pairwise(morphs):
             if before.target is not after.source:
                 raise ValueError("each morph of a chain begins with the splat where one ended")
         if len(morphs) > 1 and any(morph.stable_count for morph in morphs):
