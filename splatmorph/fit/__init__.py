@@ -148,7 +148,9 @@ def _report(
     if isinstance(flow, Node):
         rms = (history[-1].mse if history else 0.0) ** 0.5
         accuracy = max(INTEGRATION_SHARE * rms, INTEGRATION_FLOOR)
-        flow.steps = choose_steps(flow, flow.to_unit(torch.cat([p, q, probes])), accuracy)
+        flow.steps = choose_steps(
+            flow, flow.to_unit(torch.cat([p[:PROBES], q[:PROBES], probes])), accuracy
+        )
     quality = evaluate(flow, p, q, names, probes, config.seed)
     if not math.isfinite(quality.mse):
         raise NonFiniteError(

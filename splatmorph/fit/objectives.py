@@ -14,9 +14,8 @@ from splatmorph.flows.jets import Jet
 from splatmorph.flows.node import Node, runge_kutta
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
+from splatmorph.metrics import padded_box
 
-PADDING = 0.1
-"""How far beyond the landmarks' box the energy is sampled, as a part of its sides."""
 FINE_STEPS = 8
 """Runge-Kutta steps to t = 1/2 when the true metric is taken."""
 
@@ -34,9 +33,8 @@ class Region:
     """Where the energy is sampled: the landmarks' padded box and, where given, the object."""
 
     def __init__(self, points: Tensor, domain: Tensor | None) -> None:
-        low, high = points.amin(0), points.amax(0)
-        self.low = low - PADDING * (high - low)
-        self.sides = (1 + 2 * PADDING) * (high - low)
+        self.low, high = padded_box(points)
+        self.sides = high - self.low
         self.domain = domain
 
     def sample(self, count: int, generator: torch.Generator) -> Tensor:
@@ -64,7 +62,7 @@ class SirenObjective:
         self.p, self.q = p.float(), q.float()
         self.region = region
         self.config = config
-        self.energy = config.energy or "hessian"
+        self.energy = "jacobian" if config.energy == "jacobian" else "hessian"
         self.recipe = SIREN_RECIPES[self.field.base_name, self.energy]
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
@@ -118,7 +116,7 @@ class ConjugateObjective:
         self.module = flow
         self.p, self.q = p.float(), q.float()
         self.region = region
-        self.recipe = Recipe(800, 1e-2, 100, 1e-3, 1e-6)
+        self.recipe = Recipe(600, 1e-2, 100, 1e-3, 1e-7)
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
         """Couplings near the identity, under the least-squares affine velocity."""

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from splatmorph.errors import NonFiniteError, OptionError
-from splatmorph.fit.report import FitConfig, FitState
+from splatmorph.fit.report import SMOOTHING, FitConfig, FitState
 from splatmorph.fit.solve import Record
 
 CHECK_EVERY = 20
@@ -36,8 +36,8 @@ class Recipe:
     """Of the energy against the landmarks; annealed geometrically from the one to the other."""
 
     def weight(self, step: int, steps: int, smoothing: float) -> float:
-        """The energy's weight in a step; ``smoothing`` is a floor under its end."""
-        end = max(self.weight_end, smoothing)
+        """The energy's weight in a step; its end is in proportion to ``smoothing``."""
+        end = self.weight_end * max(smoothing / SMOOTHING, 1e-3)
         start = max(self.weight_start, end)
         return float(start * (end / start) ** (step / steps))
 
@@ -158,6 +158,8 @@ class _Attempt:
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.rate(self.step, steps) * 0.5**self.attempt
         weight = recipe.weight(self.step, steps, self.config.smoothing)
+        if self.config.energy == "none":
+            weight = 0.0
         loss = self.objective.loss(weight, self.generator)
         if not torch.isfinite(loss):
             return False

@@ -85,8 +85,8 @@ class Conjugate(Flow):
         layers: int = 6,
         width: int = 64,
         activation: str = "sine",
-        first_omega: float = 6.0,
-        omega: float = 3.0,
+        first_omega: float = 10.0,
+        omega: float = 4.0,
     ) -> None:
         super().__init__(dim)
         self.options = {
