@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from splatmorph import io
+from splatmorph.chain import Chain
 from splatmorph.errors import OutputExistsError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
@@ -34,11 +36,11 @@ class Exported:
 
 
 def export_sequence(
-    morph: Morph,
+    morph: Morph | Chain,
     times: Sequence[float],
     folder: str | Path,
     *,
-    names: tuple[str, str] = ("source", "target"),
+    names: Sequence[str] = ("source", "target"),
     prune: bool = True,
     overwrite: bool = False,
     asked: dict[str, Any] | None = None,
@@ -50,8 +52,8 @@ def export_sequence(
         morph: what to write.
         times: t of each frame.
         folder: where to; made if need be.
-        names: of source and target, for the headers.
-        prune: leave out splats too faint to be drawn (alpha below 1/255), strictly inside (0, 1).
+        names: of the splats that it goes through, one at each whole t, for the headers.
+        prune: leave out splats too faint to be drawn (alpha below 1/255), except at the inputs.
         overwrite: replace an earlier export in ``folder``.
         asked: what tells this export from another one, to resume only what is the same.
         on_frame: called with the number of frames done.
@@ -72,8 +74,10 @@ def export_sequence(
     written: dict[int, dict[str, int]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
         t = times[i]
-        kept = _drawn(frame) if prune and 0 < t < 1 else frame
-        comment = f"splatmorph t={t:.9g} source={names[0]} target={names[1]}"
+        leg = min(max(math.floor(t), 0), len(names) - 2)
+        between = 0 < t < len(names) - 1 and not float(t).is_integer()
+        kept = _drawn(frame) if prune and between else frame
+        comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
         io.write(files[i], kept, [comment])
         written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept)}
         _write_json(folder / PLAN, plan | {"done": done | written})
@@ -84,7 +88,7 @@ def export_sequence(
         {"file": f.name, "t": t} | counts[i]
         for i, (f, t) in enumerate(zip(files, times, strict=True))
     ]
-    _write_json(folder / INDEX, {"source": names[0], "target": names[1], "frames": rows})
+    _write_json(folder / INDEX, {"splats": list(names), "frames": rows})
     (folder / PLAN).unlink(missing_ok=True)
     return Exported(folder, files, sum(counts[i]["pruned"] for i in range(len(files))), len(done))
 

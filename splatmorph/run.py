@@ -4,7 +4,7 @@ morph.json         the inputs (path, sha256, how they were posed), landmarks, op
 flow.safetensors   the flows' weights and frames
 history.csv        the fit, step by step
 report.json        what the fit achieved
-state.safetensors  only where a fit was interrupted: what --resume goes on from
+state_N.safetensors  only where a fit was interrupted: what --resume goes on from, by leg
 """
 
 from __future__ import annotations
@@ -25,16 +25,18 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
+from splatmorph.chain import Chain, average
 from splatmorph.errors import OptionError, RunError
 from splatmorph.fit import FitReport, FitState
 from splatmorph.flows import Flow, flow_from_config
+from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import Input, fingerprint, load_splat
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
 from splatmorph.morph import Morph
 
 FORMAT = 1
 MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"
-STATE = "state.safetensors"
+STATE = "state_{}.safetensors"
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,11 @@ class Run:
     options: Mapping[str, Any]
     """What the fit was asked for, seed included."""
     folder: Path | None = None
+
+    @property
+    def is_mean(self) -> bool:
+        """Whether each leg goes from one input to the mean shape, rather than to the next."""
+        return bool(self.options.get("mean"))
 
 
 def remember(loaded: Input) -> Source:
@@ -131,7 +138,8 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
     }
     _write_json(folder / MANIFEST, manifest)
     if not any(report.interrupted for report in reports):
-        (folder / STATE).unlink(missing_ok=True)
+        for leftover in folder.glob(STATE.format("*")):
+            leftover.unlink()
     return folder
 
 
@@ -189,15 +197,33 @@ def load_inputs(run: Run) -> tuple[Input, ...]:
     return tuple(_load_again(source) for source in run.inputs)
 
 
-def morph_of(run: Run, inputs: Sequence[Input], **options: Any) -> Morph:
-    """The morph of a run and its loaded inputs; ``options`` are those of ``Morph``."""
-    if len(inputs) != 2:
-        raise OptionError(f"the run morphs {len(inputs)} splats, expected a run of two")
-    source, target = inputs
-    return Morph(source.gaussians, target.gaussians, run.legs[0].flow, **options)
+def morph_of(run: Run, inputs: Sequence[Input], **options: Any) -> Morph | Chain:
+    """The morph of a run and its loaded inputs: a chain where they are more than two.
+
+    Args:
+        run: what ``open_run`` gave.
+        inputs: what ``load_inputs`` gave.
+        options: those of ``Morph``.
+
+    Raises:
+        OptionError: the run is an average, which has no t, or an option that ``Morph`` refuses.
+    """
+    if run.is_mean:
+        raise OptionError("the run is an average of its splats (--mean), which has no t")
+    splats = [one.gaussians for one in inputs]
+    morphs = [
+        Morph(source, target, leg.flow, **options)
+        for source, target, leg in zip(splats, splats[1:], run.legs, strict=False)
+    ]
+    return morphs[0] if len(morphs) == 1 else Chain(morphs)
 
 
-def load_run(folder: str | Path, **options: Any) -> Morph:
+def average_of(run: Run, inputs: Sequence[Input], **options: Any) -> Gaussians:
+    """The average splat of a run that was fitted with ``--mean``; ``options`` as ``average``'s."""
+    return average([one.gaussians for one in inputs], [leg.flow for leg in run.legs], **options)
+
+
+def load_run(folder: str | Path, **options: Any) -> Morph | Chain:
     """The morph of a run directory; ``options`` are those of ``Morph`` (ramp, covariance, …).
 
     Raises:
@@ -208,20 +234,25 @@ def load_run(folder: str | Path, **options: Any) -> Morph:
     return morph_of(run, load_inputs(run), **options)
 
 
-def save_state(folder: Path, state: FitState, asked: str) -> None:
-    """Keep an unfinished fit; ``asked`` says what for, so that --resume can tell."""
-    with atomic_write(make_folder(folder) / STATE) as partial:
+def save_state(folder: Path, number: int, state: FitState, asked: str) -> None:
+    """Keep an unfinished leg; ``asked`` says what it is a fit of, so that --resume can tell."""
+    with atomic_write(make_folder(folder) / STATE.format(number)) as partial:
         tensors = {name: tensor.contiguous() for name, tensor in state.tensors.items()}
         partial.write_bytes(save(tensors, metadata={**state.meta, "asked": asked}))
 
 
-def load_state(folder: Path, asked: str) -> FitState | None:
-    """The unfinished fit in ``folder``; None where there is none.
+def has_state(folder: Path) -> bool:
+    """Whether an unfinished fit was left in ``folder``."""
+    return any(folder.glob(STATE.format("*")))
+
+
+def load_state(folder: Path, number: int, asked: str) -> FitState | None:
+    """The unfinished leg ``number`` in ``folder``; None where there is none.
 
     Raises:
         RunError: it is damaged, or was of other inputs or options.
     """
-    path = folder / STATE
+    path = folder / STATE.format(number)
     if not path.is_file():
         return None
     try:
@@ -277,7 +308,7 @@ def _read_json(folder: Path, name: str) -> dict[str, Any]:
         raise RunError(f"{folder} {what}, expected a run directory of  splatmorph fit")
     path = folder / name
     if not path.is_file():
-        unfinished = (folder / STATE).is_file()
+        unfinished = has_state(folder)
         hint = "finish it with  splatmorph fit … --resume" if unfinished else "fit again"
         raise RunError(f"{folder} is no complete run (no {name}): {hint}")
     try:

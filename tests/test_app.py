@@ -100,7 +100,7 @@ def test_exported_ends_are_the_inputs_bit_for_bit(fitted: Path, cli: Run) -> Non
             assert torch.equal(getattr(frame, field), getattr(original, field))
     index = json.loads(Path("out/frames.json").read_text())
     assert [frame["t"] for frame in index["frames"]] == [0, 0.5, 1]
-    assert index["source"] == "a"
+    assert index["splats"] == ["a", "b"]
     assert "splatmorph t=0.5 source=a target=b" in Path("out/morph_0001.ply").read_bytes()[
         :300
     ].decode("latin1")

@@ -136,16 +136,16 @@ def test_another_format_is_told_apart(copied: Path) -> None:
 
 def test_an_unfinished_fit_comes_back_only_to_what_asked_for_it(tmp_path: Path) -> None:
     state = FitState({"w": torch.arange(3.0), "empty": torch.zeros(0)}, {"step": "7"})
-    assert load_state(tmp_path, "this") is None
-    save_state(tmp_path, state, "this")
-    again = load_state(tmp_path, "this")
+    assert load_state(tmp_path, 0, "this") is None
+    save_state(tmp_path, 0, state, "this")
+    again = load_state(tmp_path, 0, "this")
     assert again is not None
     assert again.meta == {"step": "7"}
     assert torch.equal(again.tensors["w"], state.tensors["w"])
     with pytest.raises(RunError, match="other inputs or options"):
-        load_state(tmp_path, "that")
+        load_state(tmp_path, 0, "that")
     with pytest.raises(RunError, match="--resume"):
         open_run(tmp_path)
-    (tmp_path / "state.safetensors").write_bytes(b"half")
+    (tmp_path / "state_0.safetensors").write_bytes(b"half")
     with pytest.raises(RunError, match="can't be resumed"):
-        load_state(tmp_path, "this")
+        load_state(tmp_path, 0, "this")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import (
     AS_THEY_ARE,
@@ -14,12 +15,20 @@ from splatmorph.app.options import (
     Out,
     Overwrite,
     RunPath,
+    Times,
     TimesOption,
 )
 from splatmorph.errors import OptionError
 from splatmorph.export import export_sequence
 from splatmorph.inputs import fingerprint
-from splatmorph.run import MANIFEST, WEIGHTS, load_run, open_run
+from splatmorph.run import (
+    MANIFEST,
+    WEIGHTS,
+    average_of,
+    load_inputs,
+    morph_of,
+    open_run,
+)
 
 
 def export(
@@ -28,12 +37,17 @@ def export(
     *,
     out: Out = None,
     frames: Annotated[
-        int | None, Parameter(help="How many, evenly from t = 0 to 1; 5 if neither is given.")
+        int | None,
+        Parameter(help="How many, evenly from first to last t; 5 by default."),
     ] = None,
     t: TimesOption = None,
     prune: Annotated[
         bool, Parameter(help="Leave out splats too faint to be drawn (alpha below 1/255).")
     ] = True,
+    stable_count: Annotated[
+        bool,
+        Parameter(negative="", help="Keep every splat in every frame, for players that need it."),
+    ] = False,
     blending: Blending = AS_THEY_ARE,
     overwrite: Overwrite = False,
 ) -> None:
@@ -42,17 +56,26 @@ def export(
     The files are named so that SuperSplat and Brush play them as a sequence. An interrupted
     export goes on when the same command is given again.
     """
-    times = _times(frames, t.values if t else None, bool(t and t.stretch))
-    options = blending.chosen()
-    source, target = (one.name for one in open_run(run).inputs[:2])
-    morph = load_run(run, **options)
-    folder = out or Path(f"{run.resolve().name.removesuffix('.run')}-frames")
+    options: dict[str, Any] = blending.chosen()
+    opened = open_run(run)
+    inputs = load_inputs(opened)
+    stem = run.resolve().name.removesuffix(".run")
+    if opened.is_mean:
+        path = console.claim(out or Path(f"{stem}.ply"), overwrite)
+        io.write(path, average_of(opened, inputs, **options))
+        console.say(f"wrote {path}")
+        return
+    if stable_count:
+        options["stable_count"], prune = True, False
+    times = _times(frames, t, len(inputs) - 1)
+    morph = morph_of(opened, inputs, **options)
+    folder = out or Path(f"{stem}-frames")
     with console.progress("writing") as update:
         written = export_sequence(
             morph,
             times,
             folder,
-            names=(source, target),
+            names=[one.name for one in opened.inputs],
             prune=prune,
             overwrite=overwrite,
             asked=options | {"run": fingerprint((run / MANIFEST, run / WEIGHTS))},
@@ -65,13 +88,13 @@ def export(
     console.say(f"wrote {len(written.files)} files, {written.files[0].name} …, to {folder}")
 
 
-def _times(frames: int | None, values: tuple[float, ...] | None, stretch: bool) -> list[float]:
+def _times(frames: int | None, t: Times | None, last: float) -> list[float]:
     if frames is not None and frames < 1:
         raise OptionError(f"--frames is {frames}, expected at least 1")
-    if values is not None and not stretch:
-        if frames is not None and frames != len(values):
-            raise OptionError(f"--frames {frames} and {len(values)} times in --t: give one of them")
-        return list(values)
-    start, end = values or (0.0, 1.0)
+    if t is not None and not t.stretch:
+        if frames not in (None, len(t.values)):
+            raise OptionError(f"--frames {frames} and {len(t.values)} times in --t: give one")
+        return list(t.values)
+    start, end = t.values if t is not None else (0.0, last)
     count = frames or 5
     return [start + (end - start) * (i / (count - 1) if count > 1 else 0.0) for i in range(count)]

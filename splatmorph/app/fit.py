@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,16 +14,26 @@ import torch
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import Device, Input, Out, Overwrite, Seed, choose_device
+from splatmorph.app.options import Device, Out, Overwrite, Seed, Splat, choose_device
 from splatmorph.avatars import pose_warnings
+from splatmorph.chain import mean_landmarks
 from splatmorph.errors import LandmarkError, OutputExistsError
-from splatmorph.fit import FitConfig, FitProgress, FitReport, FitState
+from splatmorph.fit import FitConfig, FitProgress, FitReport
 from splatmorph.fit import fit as fit_flow
-from splatmorph.flows import Flow, make_flow
+from splatmorph.flows import Flow, Node, make_flow
 from splatmorph.inputs import Input as Loaded
 from splatmorph.inputs import load_input
 from splatmorph.landmarks import Landmarks
-from splatmorph.run import MANIFEST, Leg, Run, load_state, remember, save_run, save_state
+from splatmorph.run import (
+    MANIFEST,
+    Leg,
+    Run,
+    has_state,
+    load_state,
+    remember,
+    save_run,
+    save_state,
+)
 
 MOST_DOMAIN_POINTS = 20_000
 
@@ -41,31 +53,56 @@ class Posing:
     """The FLAME model file or its folder; else the variable SPLATMORPH_FLAME."""
 
 
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Fitting:
+    """Which flow, and how it is fitted."""
+
+    flow: str = Node.kind
+    """node or ncf; or a baseline: ifmorph, tps, linear."""
+    field: Annotated[str | None, Parameter(show_default=False)] = None
+    """Of the node flow: spline (the default) or siren."""
+    smoothing: float = FitConfig.smoothing
+    """Weight of bending against missed landmarks; raise it for noisy ones, 0 meets them."""
+    energy: str | None = None
+    """What training keeps small: jacobian (the paper's) or hessian."""
+    steps: int | None = None
+    """Most training steps."""
+    seed: Seed = 0
+
+    def make(self) -> Flow:
+        """The unfitted flow in space."""
+        options = {"field": self.field} if self.field else {}
+        return make_flow(self.flow, dim=3, **options)
+
+    def config(self) -> FitConfig:
+        """What the library's ``fit`` is told."""
+        return FitConfig(
+            seed=self.seed, steps=self.steps, smoothing=self.smoothing, energy=self.energy
+        )
+
+
 CANONICAL_POSE = Posing()
+BY_DEFAULT = Fitting()
 
 
 def fit(
-    source: Input,
-    target: Input,
+    source: Splat,
+    target: Splat,
     /,
-    *,
+    *more: Annotated[Path, Parameter(help="Further splats: a chain A → B → C …")],
     out: Out = None,
+    mean: Annotated[
+        bool, Parameter(negative="", help="Fit each splat to the mean shape of all instead.")
+    ] = False,
     source_landmarks: Annotated[
-        Path | None, Parameter(help="Default: <source>.landmarks.* beside the source.")
+        Path | None, Parameter(help="Default: landmarks beside the source.")
     ] = None,
     target_landmarks: Annotated[
-        Path | None, Parameter(help="Default: <target>.landmarks.* beside the target.")
+        Path | None, Parameter(help="Default: landmarks beside the target.")
     ] = None,
-    flow: Annotated[
-        str, Parameter(help="node or ncf; or a baseline: ifmorph, tps, linear.")
-    ] = "node",
-    field: Annotated[str | None, Parameter(help="Of the node flow: spline or siren.")] = None,
-    smoothing: Annotated[
-        float, Parameter(help="Weight of bending against missed landmarks; 0 meets them.")
-    ] = FitConfig.smoothing,
-    steps: Annotated[int | None, Parameter(help="Most training steps.")] = None,
+    fitting: Fitting = BY_DEFAULT,
     posing: Posing = CANONICAL_POSE,
-    seed: Seed = 0,
     device: Device = "cpu",
     resume: Annotated[
         bool, Parameter(negative="", help="Go on with a fit that was interrupted.")
@@ -75,27 +112,33 @@ def fit(
     """Fit the flow that carries one splat's landmarks to the other's, and write a run directory.
 
     Without -o the run is made in the current folder, as SOURCE-TARGET.run.
+
+    With more than two splats the run is a chain whose t goes from 0 at the first to n - 1 at the
+    n-th; with --mean it is their average.
     """
-    loaded = _load_pair((source, target), (source_landmarks, target_landmarks), posing)
-    folder = out or Path(f"{loaded[0].name}-{loaded[1].name}.run")
-    options = {"flow": flow, "field": field, "smoothing": smoothing, "steps": steps, "seed": seed}
-    points = [_landmarks_of(one) for one in loaded]
-    p, q, names = points[0].match(points[1])
-    asked = json.dumps([options, names, p.tolist(), q.tolist()])
-    state = _claim_run(folder, asked, resume, overwrite)
-    torch.manual_seed(seed)
-    made = make_flow(flow, dim=3, **({"field": field} if field else {})).to(choose_device(device))
-    config = FitConfig(seed=seed, steps=steps, smoothing=smoothing)
-    report = _fit_one(made, points, _domain(loaded), config, folder, asked, state)
-    leg = Leg(made.cpu(), p, q, names, report.to_dict())
-    run = Run(tuple(remember(one) for one in loaded), (leg,), options)
-    save_run(folder, run, [report])
-    summarise(folder, loaded, report)
+    given = (source_landmarks, target_landmarks, *[None] * len(more))
+    loaded = _load((source, target, *more), given, posing)
+    folder = out or Path("-".join(one.name for one in loaded) + ("-mean.run" if mean else ".run"))
+    legs = _legs([_landmarks_of(one) for one in loaded], mean)
+    options = dataclasses.asdict(fitting) | {"mean": mean}
+    matched = [p.match(q) for p, q in legs]
+    told = [options, [[names, p.tolist(), q.tolist()] for p, q, names in matched]]
+    _claim_run(folder, resume, overwrite)
+    made, reports = [], []
+    for i, (p, q) in enumerate(legs):
+        flow = fitting.make().to(choose_device(device))
+        ends = [loaded[i]] if mean else loaded[i : i + 2]
+        asked = json.dumps([i, *told])
+        reports.append(_fit_leg(flow, (p, q), _domain(ends), fitting, folder, i, asked, resume))
+        made.append(Leg(flow.cpu(), *matched[i], reports[-1].to_dict()))
+        if reports[-1].interrupted and i + 1 < len(legs):
+            console.warn("interrupted: the same command with --resume goes on")
+            raise KeyboardInterrupt
+    save_run(folder, Run(tuple(remember(one) for one in loaded), tuple(made), options), reports)
+    _summarise(folder, loaded, reports)
 
 
-def _load_pair(
-    paths: tuple[Path, Path], landmarks: tuple[Path | None, Path | None], posing: Posing
-) -> list[Loaded]:
+def _load(paths: Sequence[Path], landmarks: Sequence[Path | None], posing: Posing) -> list[Loaded]:
     wanted: dict[str, Any] = {
         "frame": posing.frame,
         "landmarks_set": posing.landmarks_set,
@@ -107,31 +150,37 @@ def _load_pair(
         load_input(path, landmarks=given, **wanted)
         for path, given in zip(paths, landmarks, strict=True)
     ]
-    if any(one.avatar for one in loaded):
-        for warning in pose_warnings(loaded[0].avatar, loaded[1].avatar):
-            console.warn(warning)
+    for one, next_one in itertools.pairwise(loaded):
+        if one.avatar or next_one.avatar:
+            for warning in pose_warnings(one.avatar, next_one.avatar):
+                console.warn(warning)
     return loaded
 
 
-def _claim_run(folder: Path, asked: str, resume: bool, overwrite: bool) -> FitState | None:
+def _legs(points: Sequence[Landmarks], mean: bool) -> list[tuple[Landmarks, Landmarks]]:
+    if not mean:
+        return list(itertools.pairwise(points))
+    middle = mean_landmarks(points)
+    return [(one, middle) for one in points]
+
+
+def _claim_run(folder: Path, resume: bool, overwrite: bool) -> None:
+    if folder.exists() and not folder.is_dir():
+        raise OutputExistsError(f"{folder} is a file: give -o to write the run elsewhere")
     finished = (folder / MANIFEST).is_file()
     if resume:
-        state = load_state(folder, asked)
-        if state is None and finished:
+        if finished and not has_state(folder):
             raise OutputExistsError(f"{folder} is finished, nothing is left to --resume")
-        return state
+        return
     if finished and not overwrite:
         raise OutputExistsError(
             f"{folder} is a finished run: give -w to fit it anew, or -o to write elsewhere"
         )
-    if folder.is_dir() and not finished and not overwrite and any(folder.iterdir()):
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
         raise OutputExistsError(
             f"{folder} is there already and no finished run: give --resume to go on with an "
             "interrupted fit, -w to fit anew, or -o to write elsewhere"
         )
-    if folder.exists() and not folder.is_dir():
-        raise OutputExistsError(f"{folder} is a file: give -o to write the run elsewhere")
-    return None
 
 
 def _landmarks_of(loaded: Loaded) -> Landmarks:
@@ -151,15 +200,17 @@ def _domain(loaded: Sequence[Loaded]) -> torch.Tensor:
     return torch.cat([m[:: max(1, len(m) // each)] for m in means]).double()
 
 
-def _fit_one(
+def _fit_leg(
     flow: Flow,
-    points: Sequence[Landmarks],
+    points: tuple[Landmarks, Landmarks],
     domain: torch.Tensor,
-    config: FitConfig,
+    fitting: Fitting,
     folder: Path,
+    number: int,
     asked: str,
-    state: FitState | None,
+    resume: bool,
 ) -> FitReport:
+    state = load_state(folder, number, asked) if resume else None
     with console.progress("fitting") as update:
 
         def on_step(step: FitProgress) -> None:
@@ -167,35 +218,36 @@ def _fit_one(
 
         return fit_flow(
             flow,
-            points[0],
-            points[1],
-            config,
-            domain=domain,
+            *points,
+            fitting.config(),
+            domain=domain.to(flow.center.device),
             on_step=on_step,
             resume=state,
-            on_state=lambda kept: save_state(folder, kept, asked),
+            on_state=lambda kept: save_state(folder, number, kept, asked),
         )
 
 
-def summarise(folder: Path, loaded: Sequence[Loaded], report: FitReport) -> None:
-    """Print the page that a fit ends with: what was met, what the flow keeps, what to type next."""
+def _summarise(folder: Path, loaded: Sequence[Loaded], reports: Sequence[FitReport]) -> None:
+    """The page that a fit ends with: what was met, what the flow keeps, what to type next."""
     names = " → ".join(one.name for one in loaded)
-    counts = " + ".join(f"{len(one.gaussians):,}" for one in loaded)
-    if report.interrupted:
-        console.warn("interrupted: the best flow so far is kept; the same command with --resume goes on")
-    console.say(f"{names}: {counts} splats, {report.landmarks} landmarks, {report.seconds:.2f} s")
-    console.say(error_table(report))
-    laws: dict[str, Any] = report.to_dict()["laws"]
-    shown = ", ".join(f"{name} {value:.1e}" for name, value in laws.items())
-    console.say(f"flow laws, largest error in units of the box: {shown}")
-    console.say(report.status)
+    console.say(f"{names}: {' + '.join(f'{len(one.gaussians):,}' for one in loaded)} splats")
+    for report in reports:
+        if report.interrupted:
+            console.warn("interrupted: the best flow is kept; the same with --resume goes on")
+        for warning in report.warnings:
+            console.warn(warning)
+        console.say(f"{report.landmarks} landmarks, {report.seconds:.2f} s: {report.status}")
+        console.say(_errors_of(report))
+        laws = dataclasses.asdict(report.laws)
+        shown = ", ".join(f"{name} {value:.1e}" for name, value in laws.items())
+        console.say(f"flow laws, largest error in units of the box: {shown}")
+        console.say(f"volume: det ∂Φ/∂x from {report.det_min:.3g} to {report.det_max:.3g}")
     console.say(f"\nwrote {folder}\nnext:")
     console.say(f"  splatmorph render {folder}              a turntable while it morphs")
     console.say(f"  splatmorph export {folder} --frames 5   PLY files in between")
 
 
-def error_table(report: FitReport) -> Any:
-    """Landmark errors before and after, in world units and as the paper's metric."""
+def _errors_of(report: FitReport) -> Any:
     made = console.table("landmark error", "before", "after")
     rms_before, rms = (3 * report.mse_world_before) ** 0.5, (3 * report.mse_world) ** 0.5
     made.add_row("root mean square distance, world units", f"{rms_before:.3g}", f"{rms:.3g}")
@@ -206,6 +258,6 @@ def error_table(report: FitReport) -> Any:
         f"{report.mse_world:.2e}",
     )
     made.add_row("  in units of the box²", f"{report.mse_before:.2e}", f"{report.mse:.2e}")
-    worst = max(report.errors, key=report.errors.__getitem__)
-    made.add_row(f"worst landmark at t = 1: {worst}", "", f"{report.errors[worst]:.3g}")
+    worst, error = next(iter(report.errors.items()))
+    made.add_row(f"worst landmark at t = 1: {worst}", "", f"{error:.3g}")
     return made

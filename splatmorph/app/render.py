@@ -30,7 +30,7 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import load_splat
 from splatmorph.rendering import SWING, bounds, there_and_back, turntable
 from splatmorph.rendering import render as render_frame
-from splatmorph.run import load_inputs, morph_of, open_run
+from splatmorph.run import average_of, load_inputs, morph_of, open_run
 
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
 WITH_ALPHA = ("", ".png", ".webp")
@@ -106,6 +106,9 @@ def _shot(
     inputs = load_inputs(run)
     times = frame_times(t, count, len(inputs) - 1)
     extent = tuple(one.gaussians for one in inputs)
+    if run.is_mean:
+        splat = average_of(run, inputs, **blending)
+        return Shot(iter([splat] * count), (splat,), SWING)
     if drive is None:
         return Shot(morph_of(run, inputs, **blending).sequence(times), extent, SWING)
     avatars = [one.avatar for one in inputs]
