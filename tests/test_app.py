@@ -151,6 +151,31 @@ def test_inspect_describes_for_people_and_machines(pair: tuple[Path, Path], cli:
     failed(cli("inspect", "bad.ply", "-q"), "bad.ply")
 
 
+def test_a_chain_visits_every_splat_bit_for_bit(
+    pair: tuple[Path, Path], cli: Run, make_gaussians: MakeGaussians
+) -> None:
+    io.write("c.ply", make_gaussians(90, 0, seed=2))
+    marks = Landmarks.read("a.landmarks.json")
+    Landmarks(0.8 * marks.points, marks.names).write("c.landmarks.json")
+    assert cli("fit", "a.ply", "b.ply", "c.ply")[0] == 0
+    assert cli("export", "a-b-c.run", "--frames", 5, "-o", "out")[0] == 0
+    for i, name in ((0, "a"), (2, "b"), (4, "c")):
+        assert torch.equal(io.read(f"out/morph_{i:04}.ply").means, io.read(f"{name}.ply").means)
+    header = Path("out/morph_0003.ply").read_bytes()[:300].decode("latin1")
+    assert "t=1.5 source=b target=c" in header
+    assert cli("render", "a-b-c.run", "--size", "32x32", "--frames", 3)[0] == 0
+    assert cli("fit", "a.ply", "b.ply", "c.ply", "--mean")[0] == 0
+    assert cli("export", "a-b-c-mean.run")[0] == 0
+    assert 0 < len(io.read("a-b-c-mean.ply")) <= 440
+    assert cli("render", "a-b-c-mean.run", "--size", "32x32", "-o", "mean.png")[0] == 0
+    failed(cli("view", "a-b-c.run", "-o", "x.html"), "expected a run of two")
+
+
+def test_every_splat_can_stay_in_every_frame(fitted: Path, cli: Run) -> None:
+    assert cli("export", fitted, "--stable-count", "--frames", 3, "-o", "out")[0] == 0
+    assert [len(io.read(file)) for file in sorted(Path("out").glob("*.ply"))] == [350] * 3
+
+
 # Outputs that are there ---------------------------------------------------------------------
 
 

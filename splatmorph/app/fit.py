@@ -233,7 +233,9 @@ def _summarise(folder: Path, loaded: Sequence[Loaded], reports: Sequence[FitRepo
     console.say(f"{names}: {' + '.join(f'{len(one.gaussians):,}' for one in loaded)} splats")
     for report in reports:
         if report.interrupted:
-            console.warn("interrupted: the best flow is kept; the same with --resume goes on")
+            console.warn(
+                "interrupted: the best flow so far is kept; the same command with --resume goes on"
+            )
         for warning in report.warnings:
             console.warn(warning)
         console.say(f"{report.landmarks} landmarks, {report.seconds:.2f} s: {report.status}")
