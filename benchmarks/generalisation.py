@@ -9,7 +9,7 @@ the mark to reach. Prints Markdown; errors are mean distances in mm.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -59,17 +59,17 @@ def flowed(pair: Pair, options: dict[str, Any], config: FitConfig) -> float:
     return off(pair, lambda x: flow(x, 1.0))
 
 
-def rows(groups: Sequence[Sequence[Pair]], names: Sequence[str]) -> list[tuple[str, list[float]]]:
+def rows(
+    groups: Sequence[Sequence[Pair]], names: Sequence[str]
+) -> Iterator[tuple[str, list[float]]]:
     """A row a method: its mean over the pairs of each group."""
     methods: dict[str, Callable[[Pair], float]] = {"nothing": lambda pair: off(pair, lambda x: x)}
     for kernel in RBF:
         methods[f"RBF displacement, {kernel}"] = lambda pair, k=kernel: displaced(pair, k)
     for name in names:
         methods[name] = lambda pair, chosen=FLOWS[name]: flowed(pair, *chosen)
-    return [
-        (name, [sum(map(method, group)) / len(group) for group in groups])
-        for name, method in methods.items()
-    ]
+    for name, method in methods.items():
+        yield name, [sum(map(method, group)) / len(group) for group in groups]
 
 
 def main() -> None:

@@ -81,11 +81,11 @@ class SirenObjective:
         count, dim = x.shape
         if self.energy == "jacobian":
             e = directions(1, count, dim, generator).to(x)
-            slope = self.field.network.push(Jet.along(x, e)).first[0]
+            slope = self.field.network.push(Jet(x, e)).first[0]
             slope = slope + (self.field.base.jacobian(x) @ e[0][..., None])[..., 0]
             return dim * slope.square().sum(1).mean()
         e = directions(2, count, dim, generator).to(x)
-        bend = self.field.network.push(Jet.along(x, e, ((0, 1),))).second
+        bend = self.field.network.push(Jet(x, e, ((0, 1),))).second
         assert bend is not None
         return dim**2 * bend[0].square().sum(1).mean()
 
@@ -195,7 +195,7 @@ class IfmorphObjective:
     def _bending(self, x: Tensor, t: Tensor, generator: torch.Generator) -> Tensor:
         joint = torch.cat([x, t[:, None]], dim=1)
         e = directions(2, len(x), joint.shape[1], generator).to(x)
-        bend = self.module.network.push(Jet.along(joint, e, ((0, 1),))).second
+        bend = self.module.network.push(Jet(joint, e, ((0, 1),))).second
         assert bend is not None
         return joint.shape[1] ** 2 * bend[0].square().mean()
 

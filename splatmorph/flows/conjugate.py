@@ -65,7 +65,7 @@ class Coupling(nn.Module):
         return raw.columns([0]).activate(_bounded(sign)), raw.columns([1])
 
     def _join(self, jet: Jet, moved: Jet) -> Jet:
-        return Jet.join([jet.columns(self.kept), moved]).columns(self.back)
+        return Jet.join(jet.columns(self.kept), moved).columns(self.back)
 
 
 class Conjugate(Flow):
@@ -144,7 +144,7 @@ class Conjugate(Flow):
     def unit_velocity(self, u: Tensor) -> Tensor:
         """v(u) in the frame: (∂H⁻¹)(z) · (A z + b) at z = H(u)."""
         z = self.straighten(u)
-        return self._push_inverse(Jet.along(z, self._affine_rate(z)[None])).first[0]
+        return self._push_inverse(Jet(z, self._affine_rate(z)[None])).first[0]
 
     def unit_velocity_jacobian(self, u: Tensor) -> Tensor:
         """∂v/∂u in the frame."""
@@ -158,12 +158,12 @@ class Conjugate(Flow):
         derivative of H⁻¹ along w and ∂H e, where w itself changes by A ∂H e.
         """
         count = len(directions)
-        straight = self._push(Jet.along(u, directions))
+        straight = self._push(Jet(u, directions))
         rate = self._affine_rate(straight.value)
         along = torch.cat([straight.first, rate[None]])
         pairs = tuple((i, count) for i in range(count))
         changing = straight.first @ self.generator.to(u).T
-        slopes = self._push_inverse(Jet(straight.value, along, changing, pairs)).second
+        slopes = self._push_inverse(Jet(straight.value, along, pairs, changing)).second
         assert slopes is not None
         return slopes
 

@@ -41,7 +41,7 @@ class Ifmorph(Flow):
         """∂Φ/∂t(u, 0) in the frame."""
         along_t = _joint(u, 0.0).new_zeros(1, len(u), self.dim + 1)
         along_t[..., -1] = 1
-        return self.network.push(Jet.along(_joint(u, 0.0), along_t)).first[0]
+        return self.network.push(Jet(_joint(u, 0.0), along_t)).first[0]
 
     def unit_velocity_jacobian(self, u: Tensor) -> Tensor:
         """∂²Φ/∂u∂t(u, 0) in the frame."""

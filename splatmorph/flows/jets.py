@@ -13,6 +13,7 @@ from itertools import combinations_with_replacement
 
 import torch
 from torch import Tensor
+from torch.nn.functional import linear
 
 Pairs = tuple[tuple[int, int], ...]
 
@@ -28,10 +29,10 @@ class Jet:
     """(m, k) z"""
     first: Tensor
     """(d, m, k) derivative of z along each direction"""
-    second: Tensor | None = None
-    """(len(pairs), m, k) second derivative of z along each pair of directions"""
     pairs: Pairs = ()
-    """The pairs (i, j) of directions, i ≤ j, that ``second`` holds."""
+    """The pairs (i, j) of directions, i ≤ j, whose second derivatives are kept."""
+    second: Tensor | None = None
+    """(len(pairs), m, k) second derivative along each pair; None: zero."""
 
     @staticmethod
     def seed(x: Tensor, order: int = 2) -> Jet:
@@ -39,70 +40,77 @@ class Jet:
         n = x.shape[1]
         directions = torch.eye(n, dtype=x.dtype, device=x.device)[:, None].expand(n, len(x), n)
         every = tuple(combinations_with_replacement(range(n), 2))
-        return Jet.along(x, directions, every if order == 2 else ())
-
-    @staticmethod
-    def along(x: Tensor, directions: Tensor, pairs: Pairs = ()) -> Jet:
-        """x itself, (m, n), with derivatives along ``directions`` (d, m, n) and their ``pairs``."""
-        second = x.new_zeros(len(pairs), *x.shape) if pairs else None
-        return Jet(x, directions, second, pairs)
+        return Jet(x, directions, every if order == 2 else ())
 
     def linear(self, weight: Tensor, bias: Tensor | None = None) -> Jet:
         """⟨Wz + b, Wż, Wz̈⟩ for ``weight`` (k', k) and ``bias`` (k',)."""
-        moved = self.value @ weight.T
-        return Jet(
-            moved if bias is None else moved + bias,
-            self.first @ weight.T,
-            None if self.second is None else self.second @ weight.T,
-            self.pairs,
-        )
+        moved = linear(self.value, weight, bias)
+        second = None if self.second is None else self.second @ weight.T
+        return Jet(moved, self.first @ weight.T, self.pairs, second)
 
     def activate(self, activation: Activation) -> Jet:
         """⟨g(z), g'(z) ż, g'(z) z̈ + g''(z) ż żᵀ⟩ for an elementwise g."""
-        if self.second is None:
+        if not self.pairs:
             g, slope = activation(self.value, 1)
             return Jet(g, slope * self.first)
         g, slope, bend = activation(self.value, 2)
-        crossed = torch.stack([self.first[i] * self.first[j] for i, j in self.pairs])
-        return Jet(g, slope * self.first, slope * self.second + bend * crossed, self.pairs)
+        bent = bend * self.first
+        second = torch.stack([bent[i] * self.first[j] for i, j in self.pairs])
+        if self.second is not None:
+            second = torch.addcmul(second, slope, self.second)
+        return Jet(g, slope * self.first, self.pairs, second)
+
+    def then(self, outer: Jet) -> Jet:
+        """The chain rule: ``outer`` holds y and all its derivatives in z, z this jet's value."""
+        first = torch.einsum("imo,dmi->dmo", outer.first, self.first)
+        if not self.pairs:
+            return Jet(outer.value, first)
+        left, right = (self.first[list(side)] for side in zip(*self.pairs, strict=True))
+        second = torch.einsum("moij,pmi,pmj->pmo", outer.hessian(), left, right)
+        if self.second is not None:
+            second = second + torch.einsum("imo,pmi->pmo", outer.first, self.second)
+        return Jet(outer.value, first, self.pairs, second)
 
     def __add__(self, other: Jet) -> Jet:
-        return Jet(
-            self.value + other.value,
-            self.first + other.first,
-            None if self.second is None or other.second is None else self.second + other.second,
-            self.pairs,
-        )
+        second = self.second if other.second is None else other.second
+        if self.second is not None and other.second is not None:
+            second = self.second + other.second
+        return Jet(self.value + other.value, self.first + other.first, self.pairs, second)
 
     def __mul__(self, other: Jet) -> Jet:
         """The elementwise product, by Leibniz' rule."""
         first = self.first * other.value + self.value * other.first
-        if self.second is None or other.second is None:
+        if not self.pairs:
             return Jet(self.value * other.value, first)
         a, b = self.first, other.first
-        crossed = torch.stack([a[i] * b[j] + a[j] * b[i] for i, j in self.pairs])
-        second = self.second * other.value + self.value * other.second + crossed
-        return Jet(self.value * other.value, first, second, self.pairs)
+        second = torch.stack([a[i] * b[j] + a[j] * b[i] for i, j in self.pairs])
+        for bent, factor in ((self.second, other.value), (other.second, self.value)):
+            if bent is not None:
+                second = second + bent * factor
+        return Jet(self.value * other.value, first, self.pairs, second)
 
     def columns(self, index: list[int]) -> Jet:
         """Some of the k components."""
-        return Jet(
-            self.value[..., index],
-            self.first[..., index],
-            None if self.second is None else self.second[..., index],
-            self.pairs,
-        )
+        second = None if self.second is None else self.second[..., index]
+        return Jet(self.value[..., index], self.first[..., index], self.pairs, second)
 
     @staticmethod
-    def join(parts: list[Jet]) -> Jet:
-        """Components of several jets beside each other."""
-        seconds = [part.second for part in parts if part.second is not None]
+    def join(a: Jet, b: Jet) -> Jet:
+        """The components of two jets beside each other."""
+        second = None
+        if a.second is not None or b.second is not None:
+            second = torch.cat([a._bent(), b._bent()], -1)
         return Jet(
-            torch.cat([part.value for part in parts], -1),
-            torch.cat([part.first for part in parts], -1),
-            torch.cat(seconds, -1) if seconds else None,
-            parts[0].pairs,
+            torch.cat([a.value, b.value], -1),
+            torch.cat([a.first, b.first], -1),
+            a.pairs,
+            second,
         )
+
+    def _bent(self) -> Tensor:
+        if self.second is not None:
+            return self.second
+        return self.value.new_zeros(len(self.pairs), *self.value.shape)
 
     def jacobian(self) -> Tensor:
         """∂z/∂x, (m, k, d)."""
@@ -110,9 +118,7 @@ class Jet:
 
     def hessian(self) -> Tensor:
         """∂²z/∂x², (m, k, d, d), for a jet that holds every pair."""
-        assert self.second is not None
-        d, m, k = self.first.shape
-        full = self.value.new_empty(m, k, d, d)
-        for (i, j), values in zip(self.pairs, self.second, strict=True):
-            full[:, :, i, j] = full[:, :, j, i] = values
-        return full
+        d = len(self.first)
+        where = {pair: place for place, pair in enumerate(self.pairs)}
+        order = [where[min(i, j), max(i, j)] for i in range(d) for j in range(d)]
+        return self._bent()[order].permute(1, 2, 0).unflatten(2, (d, d))

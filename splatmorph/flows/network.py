@@ -67,7 +67,14 @@ class Network(nn.Module):
         return linear(x, self.weights[-1].to(x), self.biases[-1].to(x))
 
     def push(self, jet: Jet) -> Jet:
-        """The same with derivatives."""
+        """The same with derivatives.
+
+        Where the network has fewer inputs than the jet has directions, it is differentiated in
+        its inputs, and the chain rule does the rest on a few components instead of on every unit.
+        """
+        inputs = jet.value.shape[1]
+        if len(jet.pairs) > inputs * (inputs + 1) // 2:
+            return jet.then(self.push(Jet.seed(jet.value)))
         x = jet.value
         for weight, bias, omega in zip(self.weights, self.biases, self.omegas, strict=False):
             jet = jet.linear(weight.to(x), bias.to(x)).activate(

@@ -50,7 +50,7 @@ def test_directional_jet_is_a_part_of_the_full_one() -> None:
     network = drawn(Network([3, 16, 16, 3]))
     x, e, f = torch.rand(3, 7, 3, dtype=torch.float64)
     whole = network.push(Jet.seed(x))
-    jet = network.push(Jet.along(x, torch.stack([e, f]), ((0, 1),)))
+    jet = network.push(Jet(x, torch.stack([e, f]), ((0, 1),)))
     assert jet.second is not None
     assert torch.allclose(jet.first[0], torch.einsum("mij,mj->mi", whole.jacobian(), e))
     mixed = torch.einsum("mijk,mj,mk->mi", whole.hessian(), e, f)
