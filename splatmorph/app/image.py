@@ -36,6 +36,9 @@ from splatmorph.images.generative import DiffusersAutoencoder, LatentBlend
 from splatmorph.landmarks import Landmarks
 
 SHEET_FRAMES = 12
+SMOOTHING = 1e-4
+"""Landmarks of pictures are good to a pixel or so: this meets them to that."""
+
 FOUND = ("auto", "optical-flow", "face")
 
 Pair = tuple[Landmarks, Landmarks]
@@ -70,7 +73,7 @@ class Warping:
     """node or ncf; or a baseline: ifmorph, tps, delaunay, linear (none: a crossfade)."""
     field: str | None = None
     """Of the node flow: spline or siren."""
-    smoothing: float = 0.0
+    smoothing: float = SMOOTHING
     """Weight of bending against missed landmarks; 0 meets them."""
     interpolation: str = "bilinear"
     """Between pixels: bilinear or bicubic."""
@@ -171,7 +174,9 @@ def _warp(
     pair = points.with_anchors(*found, canvases, pairing.anchors)
     dropped = len(found[0]) + 4 * pairing.anchors - len(pair[0])
     if dropped:
-        console.say(f"{dropped} landmarks have no partner, or are one with another in both pictures")
+        console.say(
+            f"{dropped} landmarks have no partner, or are one with another in both pictures"
+        )
     if warping.warp == "delaunay":
         return DelaunayWarp(*pair, canvases[0]), pair, None
     torch.manual_seed(seed)
@@ -246,14 +251,15 @@ def _summarise(
     morph: ImageMorph, report: FitReport | None, written: list[Path], json: bool
 ) -> None:
     canvas = morph.output
-    route = morph.warp.route(canvas) if isinstance(morph.warp, FlowWarp) else None
+    warp = morph.warp
+    error = warp.lattice(canvas)[1] if isinstance(warp, FlowWarp) else None
     if json:
         console.emit_json(
             {
                 "written": [str(path) for path in written],
                 "size": [canvas.width, canvas.height],
                 "fit": report.to_dict() if report else None,
-                "warp_error_pixels": route.error if route else None,
+                "warp_error_pixels": error,
             }
         )
         return
@@ -262,13 +268,13 @@ def _summarise(
             (2 * mse) ** 0.5 / canvas.pixel for mse in (report.mse_world_before, report.mse_world)
         )
         console.say(
-            f"{report.landmarks} landmarks met in {report.seconds:.2f} s: {before:.1f} → "
-            f"{after:.2g} pixels apart (root mean square), MSE {report.mse_world:.1e}; "
+            f"{report.landmarks} landmarks, {report.seconds:.2f} s: {before:.1f} → {after:.2g} "
+            f"pixels apart (root mean square), MSE {report.mse_world:.1e}: {report.status}; "
             f"determinant of the warp at least {report.det_min:.2f}"
         )
         for warning in report.warnings:
             console.warn(warning)
-    if route is not None:
-        console.say(f"warped within {route.error:.2g} pixels of the flow")
+    if error is not None:
+        console.say(f"warped within {error:.2g} pixels of the flow")
     for path in written:
         console.say(f"wrote {path}")

@@ -9,15 +9,9 @@ from functools import cached_property
 import numpy as np
 import torch
 from scipy.interpolate import CubicSpline
-from torch import Tensor, nn
-from torch.nn.functional import grid_sample
+from torch import Tensor
 
-from splatmorph.flows import Flow, Node
-from splatmorph.flows.node import DEFAULT_STEPS
 from splatmorph.images.canvas import Canvas
-
-FINER = 4
-"""Cells of a table for one of the lattice that it is made from: there, linear is enough."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +43,10 @@ class Lattice:
 
     @cached_property
     def points(self) -> Tensor:
-        """The nodes in the plane, (down · across, 2) float64."""
+        """The nodes in the plane, (down · across, 2) float32."""
         x, _, y, _ = self._axes
         nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        return self.canvas.to_world(torch.from_numpy(nodes))
+        return self.canvas.to_world(torch.from_numpy(nodes)).to(torch.float32)
 
     def interpolate(self, values: Tensor, first: int = 0, last: int | None = None) -> Tensor:
         """Values (down · across, 2) float32 on the nodes -> on the pixels of some rows.
@@ -84,35 +78,3 @@ class LatticeMap:
     def band(self, first: int, last: int) -> Tensor:
         """As ``PixelMap.band``."""
         return self.lattice.interpolate(self.values, first, last)
-
-
-class VelocityTable(nn.Module):
-    """A velocity field looked up: v(x) of ``flow`` over a canvas, world units.
-
-    v is asked on a lattice of ``spacing`` pixels, splined to cells ``FINER`` times smaller and
-    read bilinearly there; so a path costs the same for every field, however dear. The table is
-    ``reach`` times the canvas, for paths that leave the picture and come back.
-    """
-
-    def __init__(self, flow: Flow, canvas: Canvas, spacing: float, reach: float) -> None:
-        super().__init__()
-        cells = reach * FINER / spacing
-        own = Canvas(math.ceil(canvas.width * cells), math.ceil(canvas.height * cells))
-        lattice = Lattice(own, FINER)
-        velocities = flow.velocity(lattice.points * reach).to(torch.float32)
-        self.table = lattice.interpolate(velocities).permute(2, 0, 1)[None].contiguous()
-        self.extent = torch.tensor([reach, -reach]) * torch.tensor(own.half)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """v: (m, 2) -> (m, 2); beyond the table as on its border."""
-        grid = (x.to(torch.float32) / self.extent)[None, None]
-        found = grid_sample(self.table, grid, padding_mode="border", align_corners=False)
-        return found[0, :, 0].T.to(x)
-
-
-def tabulated(flow: Flow, canvas: Canvas, spacing: float, reach: float) -> Flow:
-    """The same flow on a canvas and around it, by a table of its velocity; only for true flows."""
-    table = VelocityTable(flow, canvas, spacing, reach)
-    steps = flow.steps if isinstance(flow, Node) else DEFAULT_STEPS
-    # Node asks of a field no more than to be called, as long as nobody asks for Jacobians.
-    return Node(2, table, steps)  # type: ignore[arg-type]

@@ -44,7 +44,7 @@ class ImageMorph:
     def sequence(self, times: Sequence[float]) -> Iterator[Picture]:
         """The pictures at all times, the warp followed once for the whole sequence."""
         for t, maps in zip(times, self.warp.maps(self.output, times), strict=True):
-            end = {0: self.source, 1: self.target}.get(t)
+            end = self.source if t == 0 else self.target if t == 1 else None
             if end is not None and end.canvas == self.output:
                 # The identity warp: no rounding may touch the picture.
                 yield end.with_channels(self._channels).as_float()

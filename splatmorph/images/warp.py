@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.nn.functional import grid_sample
 
 from splatmorph.errors import OptionError
-from splatmorph.flows import Conjugate, Flow, Node
+from splatmorph.flows import Flow
 from splatmorph.images.canvas import Canvas
-from splatmorph.images.lattice import Lattice, LatticeMap, tabulated
+from splatmorph.images.lattice import Lattice, LatticeMap
 
 EDGES = {"edge": "border", "reflect": "reflection", "zero": "zeros"}
 """What lies beyond a picture -> grid_sample's word: its last pixel, its mirror image, nothing."""
@@ -24,13 +24,8 @@ INTERPOLATIONS = ("bilinear", "bicubic")
 SPACINGS = (32.0, 16.0, 8.0, 4.0, 2.0)
 """Pixels between the nodes of a lattice, as they are tried."""
 
-PROBES = 1024
+PROBES = 2048
 ENDS = (-1.0, 1.0)
-TRUE_FLOWS = (Node, Conjugate)
-"""The kinds that are the integral of their velocity; the baselines are not."""
-
-MARGIN, FARTHEST = 1.1, 3.0
-"""A table of velocities covers what the paths reach, and a tenth more, up to three canvases."""
 
 BLOCK = 1 << 28
 """Bytes of lattice positions held at once; a longer sequence is integrated in stretches."""
@@ -60,88 +55,58 @@ class Warp(Protocol):
 
 
 @dataclass(frozen=True)
-class Route:
-    """How the paths of a canvas's pixels are found, and how well."""
-
-    flow: Flow
-    """The flow itself, or a table of its velocity."""
-    lattice: Lattice
-    """Where the paths begin."""
-    error: float
-    """The largest distance to the flow's own positions found at t = ±1, in pixels."""
-
-
-@dataclass(frozen=True)
 class FlowWarp:
     """The inverse warp by a flow: at t the source is read at Φ(x, -t), the target at Φ(x, 1 - t).
 
     The paper's I^i(x, t) = I^i(Φ(x, i - t)). The flow is followed from the nodes of a lattice,
-    once for all times, and interpolated between them; a flow that is the integral of its
-    velocity is followed through a table of it. Lattice and table are the coarsest whose
+    once for all times, and interpolated between them. The lattice is the coarsest whose
     positions are within ``tolerance`` of the flow's own.
     """
 
     flow: Flow
     tolerance: float = 0.05
     """The largest error allowed, in pixels of the output."""
-    _routes: dict[Canvas, Route] = field(
+    _lattices: dict[Canvas, tuple[Lattice, float]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
     def maps(self, canvas: Canvas, times: Sequence[float]) -> Iterator[tuple[PixelMap, PixelMap]]:
         """As ``Warp.maps``."""
-        route = self.route(canvas)
-        start = route.lattice.points.to(torch.float32)
-        block = max(1, BLOCK // (2 * start.nbytes))
+        lattice, _ = self.lattice(canvas)
+        block = max(1, BLOCK // (2 * lattice.points.nbytes))
         for begin in range(0, len(times), block):
             part = times[begin : begin + block]
             both = [-t for t in part] + [1 - t for t in part]
-            positions = route.flow.trajectory(start, both).unflatten(0, (2, len(part)))
+            positions = self.flow.trajectory(lattice.points, both).unflatten(0, (2, len(part)))
             for source, target in zip(*positions, strict=True):
-                yield LatticeMap(route.lattice, source), LatticeMap(route.lattice, target)
+                yield LatticeMap(lattice, source), LatticeMap(lattice, target)
 
     def carry(self, points: Tensor, t: float) -> Tensor:
         """As ``Warp.carry``."""
         return self.flow(points, t)
 
-    def route(self, canvas: Canvas) -> Route:
-        """How this canvas is warped, found once.
+    def lattice(self, canvas: Canvas) -> tuple[Lattice, float]:
+        """The lattice for a canvas, found once, and its largest error in pixels at t = ±1.
 
         The error is measured at ``PROBES`` pixels drawn with a fixed seed. Where even the
-        finest lattice misses the tolerance, the best is taken, with its error.
+        finest lattice misses the tolerance it is taken all the same.
         """
-        if canvas not in self._routes:
-            self._routes[canvas] = self._find_route(canvas)
-        return self._routes[canvas]
+        if canvas not in self._lattices:
+            self._lattices[canvas] = self._find_lattice(canvas)
+        return self._lattices[canvas]
 
-    def _find_route(self, canvas: Canvas) -> Route:
+    def _find_lattice(self, canvas: Canvas) -> tuple[Lattice, float]:
         generator = torch.Generator().manual_seed(0)
         x = torch.randint(canvas.width, (PROBES,), generator=generator)
         y = torch.randint(canvas.height, (PROBES,), generator=generator)
-        probes = canvas.to_world(torch.stack([x, y], dim=1).to(torch.float64) + 0.5)
-        exact = self.flow.trajectory(torch.cat([probes, canvas.border(4)]), ENDS)
-        reach = float((exact.abs().amax((0, 1)) / torch.tensor(canvas.half)).max())
-        reach = MARGIN * min(max(1.0, reach), FARTHEST)
-        best: Route | None = None
-        for flow, spacing in self._candidates(canvas, reach):
+        exact = self.flow.trajectory(canvas.to_world(torch.stack([x, y], dim=1) + 0.5), ENDS)
+        for spacing in SPACINGS:
             lattice = Lattice(canvas, spacing)
-            values = flow.trajectory(lattice.points.to(torch.float32), ENDS)
-            missed = (lattice.at_pixels(values, x, y) - exact[:, :PROBES]).norm(dim=-1)
-            route = Route(flow, lattice, float(missed.max()) / canvas.pixel)
-            if best is None or route.error < best.error:
-                best = route
-            if best.error <= self.tolerance:
+            found = lattice.at_pixels(self.flow.trajectory(lattice.points, ENDS), x, y)
+            error = float((found - exact).norm(dim=-1).max()) / canvas.pixel
+            if error <= self.tolerance:
                 break
-        assert best is not None
-        return best
-
-    def _candidates(self, canvas: Canvas, reach: float) -> Iterator[tuple[Flow, float]]:
-        if isinstance(self.flow, TRUE_FLOWS):
-            for spacing in SPACINGS:
-                yield tabulated(self.flow, canvas, spacing, reach), spacing
-        if not isinstance(self.flow, Node):  # whose table is as good as its lattice
-            for spacing in SPACINGS:
-                yield self.flow, spacing
+        return lattice, error
 
 
 def sample(
