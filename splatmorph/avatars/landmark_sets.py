@@ -62,7 +62,7 @@ def paper_vertices() -> list[int]:
     )
 
 
-def thin(source: Landmarks, target: Landmarks, count: int) -> tuple[Landmarks, Landmarks]:
+def thin(source: Landmarks, target: Landmarks, count: int = 500) -> tuple[Landmarks, Landmarks]:
     """The matched pairs of two sets, at most ``count``, spread evenly over both objects.
 
     Farthest-point sampling of the pairs (p, q) as points of one space: the same choice for both
