@@ -1,14 +1,16 @@
 """Streamlines: the velocity field of a flow, seen on the object it moves.
 
-Drawn by pyvista, off the screen unless asked otherwise. VTK's wheel brings what it needs to draw
-without a display or a graphics processor.
+Drawn by pyvista, off the screen unless asked otherwise; without a display VTK draws through EGL
+or OSMesa, graphics processor or none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Iterator, Sequence
+from ctypes.util import find_library
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,42 +20,57 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from renderer import Camera, orbit, to_bytes
-from splatmorph.errors import OptionError, WriteError
-from splatmorph.gaussians import Gaussians
+from renderer import Camera, rasterize, to_bytes
+from splatmorph.errors import MissingExtraError, OptionError, WriteError
 from splatmorph.io.atomic import atomic_write
-from splatmorph.view.subject import Subject, footprints, thin
+from splatmorph.rendering import renderer_arrays
+from splatmorph.view.subject import Subject, thin
 
 SH0 = 0.28209479177387814
 STEPS = 48
 """Points of a streamline over the whole morph."""
-BACKGROUND = 4000
-"""Splats of each side that stand for the object."""
-PAPER, INK = "white", "#26272b"
+CLOUD = 9000
+"""Points that stand for the source where the scene can be turned."""
+PALENESS = 0.45
+"""How far the object is mixed with the paper, so that the lines stand out."""
+DEPTH_MARGIN = 0.06
+"""How far behind the surface a line may begin and still be drawn, as a part of the radius."""
+PAPER, INK, QUIET = "white", "#26272b", "#8d8e96"
 SOURCE_COLOUR, TARGET_COLOUR = "#13807c", "#c8741a"
-COLOURINGS = {"speed": "speed (units per t)", "det": "log det ∂Φ/∂x"}
+COLOURINGS = {"speed": "speed (units per t)", "det": "log det J"}
 COLOUR_MAPS = {"speed": "viridis", "det": "RdBu_r"}
-FORMATS = (".png", ".jpg", ".html", ".vtp")
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Streamlines:
-    """Paths of points along a flow while t goes from 0 to 1."""
+    """Paths of points along a flow while t goes from 0 to 1, and before."""
 
     paths: Array
     """(m, STEPS, 3) world units."""
+    tails: Array
+    """(m, STEPS, 3) the same lines upstream, t from -1 to 0: where the field comes from."""
     values: Array
     """(m, STEPS) what the tubes are coloured by."""
     colouring: str
     """A name of ``COLOURINGS``."""
-    landmarks: int
-    """How many of the paths, the first ones, begin at landmarks."""
+    marked: NDArray[np.bool_]
+    """(m,) which of them begin at landmarks."""
+
+    def select(self, kept: NDArray[np.bool_]) -> Streamlines:
+        """The lines where ``kept`` (m,) is true."""
+        return Streamlines(
+            self.paths[kept],
+            self.tails[kept],
+            self.values[kept],
+            self.colouring,
+            self.marked[kept],
+        )
 
 
 @torch.no_grad()
-def trace(subject: Subject, *, seeds: int = 160, colouring: str = "speed") -> Streamlines:
+def trace(subject: Subject, *, seeds: int = 240, colouring: str = "speed") -> Streamlines:
     """Streamlines from the source's landmarks and from ``seeds`` splats of its surface.
 
     The splats are picked spread out: each next one is the farthest from those before, among the
@@ -65,11 +82,12 @@ def trace(subject: Subject, *, seeds: int = 160, colouring: str = "speed") -> St
     if colouring not in COLOURINGS:
         raise OptionError(f"colour '{colouring}' is not one of: {', '.join(COLOURINGS)}")
     flow, source = subject.morph.flow, subject.morph.source
-    surface = source.means[thin(source, BACKGROUND)].double()
+    surface = source.means[thin(source, CLOUD)].double()
     starts = torch.cat([subject.source_points.to(surface), _spread(surface, seeds)])
     if not len(starts):
         raise OptionError("no landmarks and no seeds: nothing to draw streamlines from")
     times = np.linspace(0, 1, STEPS).tolist()
+    tails = flow.trajectory(starts, np.linspace(-1, 0, STEPS).tolist())
     if colouring == "speed":
         paths = flow.trajectory(starts, times)
         speeds = (paths[2:] - paths[:-2]).norm(dim=2) * ((STEPS - 1) / 2)
@@ -79,9 +97,10 @@ def trace(subject: Subject, *, seeds: int = 160, colouring: str = "speed") -> St
         values = torch.linalg.det(jacobians).clamp_min(1e-3).log()
     return Streamlines(
         paths.transpose(0, 1).numpy(force=True),
+        tails.transpose(0, 1).numpy(force=True),
         values.T.numpy(force=True),
         colouring,
-        len(subject.source_points),
+        np.arange(len(starts)) < len(subject.source_points),
     )
 
 
@@ -101,182 +120,207 @@ def save_lines(path: Path, lines: Streamlines) -> None:
         _polylines(lines).save(partial)
 
 
-def draw(
-    subjects: Sequence[Subject],
-    lines: Sequence[Streamlines],
-    path: Path | None,
-    *,
-    camera: tuple[float, float, str] = (30.0, 10.0, "y"),
-    size: tuple[int, int] = (1000, 1000),
-) -> None:
-    """Draw flows side by side, their cameras linked and their colours on one scale.
+def picture(
+    subjects: Sequence[Subject], lines: Sequence[Streamlines], view: Camera
+) -> NDArray[np.uint8]:
+    """Flows side by side over pale pictures of their sources, all seen by the same ``view``.
 
-    Arguments:
-        subjects, lines: what to draw, one a panel.
-        path: a .png, .jpg or .html to write; None: a window.
-        camera: azimuth and elevation in degrees, and the axis that is up.
-        size: of one panel, pixels.
+    Lines that begin behind the object are left out. Returns (height, panels × width, 3) uint8.
 
     Raises:
-        OptionError: an unknown extension.
-        WriteError: the picture can't be drawn or written here.
+        WriteError: there is nothing here to draw with.
     """
-    kind = path.suffix.lower() if path else None
-    if kind is not None and kind not in FORMATS[:3]:
-        raise OptionError(f"{path}: expected one of {', '.join(FORMATS)}")
-    with _scene(subjects, lines, camera, size, window=path is None) as plotter:
-        if path is None:
-            plotter.show()
-            return
-        with atomic_write(path) as partial:
-            if kind == ".html":
-                _export_html(plotter, partial)
-            else:
-                plotter.screenshot(partial)
+    backdrops, shown = [], []
+    for subject, traced in zip(subjects, lines, strict=True):
+        behind, visible = _backdrop(subject, traced, view)
+        backdrops.append(behind)
+        shown.append(traced.select(visible))
+    limits = _limits(lines)
+    with _scene(subjects, shown, limits, view, window=False, clouds=False) as plotter:
+        over = plotter.screenshot(return_img=True, transparent_background=True) / 255.0
+    cover = over[..., 3:]
+    return to_bytes(over[..., :3] * cover + np.concatenate(backdrops, axis=1) * (1 - cover))
 
 
-def film(
+def show(
     subjects: Sequence[Subject],
     lines: Sequence[Streamlines],
-    azimuths: Sequence[float],
-    *,
-    camera: tuple[float, float, str] = (0.0, 10.0, "y"),
-    size: tuple[int, int] = (640, 640),
-) -> Iterator[NDArray[np.uint8]]:
-    """Pictures of the same from one azimuth after another, for a video."""
-    _, elevation, up = camera
-    with _scene(subjects, lines, camera, size, window=False) as plotter:
-        around = subjects[0].bounds()
-        views = orbit(around, azimuths, elevation=elevation, up=up, width=size[0], height=size[1])
-        for view in views:
-            _stand(plotter, view, around.center, len(subjects))
-            plotter.render()
-            yield to_bytes(plotter.screenshot(return_img=True))
+    view: Camera,
+    page: Path | None = None,
+) -> None:
+    """The same as a scene to turn round, the splats as points: an HTML ``page``, else a window.
+
+    Raises:
+        WriteError: there is no display, or nothing here to draw with.
+        MissingExtraError: pyvista's packages for pages are not installed.
+    """
+    limits = _limits(lines)
+    window = page is None
+    with _scene(subjects, lines, limits, view, window=window, clouds=True) as plotter:
+        if page is None:
+            plotter.show()
+            return
+        with atomic_write(page) as partial:
+            try:
+                plotter.export_html(partial)
+            except ImportError as error:
+                raise MissingExtraError("trame", "view", "a page of streamlines") from error
+
+
+def _backdrop(
+    subject: Subject, lines: Streamlines, view: Camera
+) -> tuple[Array, NDArray[np.bool_]]:
+    """A pale picture of the source, and which of the lines begin in front of it."""
+    rgb, alpha, depth = rasterize(
+        *renderer_arrays(subject.morph.source),
+        view.viewmat,
+        view.K,
+        view.width,
+        view.height,
+        background=(1, 1, 1),
+    )
+    starts = lines.paths[:, 0] @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
+    pixels = starts[:, :2] / starts[:, 2:] * view.K[0, 0] + view.K[:2, 2]
+    column, row = pixels.astype(int).clip(0, [view.width - 1, view.height - 1]).T
+    surface = np.asarray(depth)[row, column] + DEPTH_MARGIN * subject.bounds().radius
+    visible = (np.asarray(alpha)[row, column] < 0.5) | (starts[:, 2] < surface)
+    return PALENESS + (1 - PALENESS) * np.asarray(rgb, float).clip(0, 1), visible
 
 
 @contextlib.contextmanager
 def _scene(
     subjects: Sequence[Subject],
     lines: Sequence[Streamlines],
-    camera: tuple[float, float, str],
-    size: tuple[int, int],
+    limits: list[float],
+    view: Camera,
     *,
     window: bool,
+    clouds: bool,
 ) -> Iterator[Any]:
-    """A plotter with everything in it, and the errors of drawing told in one line."""
+    """A plotter with everything in it, every panel seen by ``view``."""
+    _choose_window(window)
     import pyvista
 
-    pyvista.OFF_SCREEN = not window
-    if window and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        raise WriteError("no display to open a window on: give -o x.png to draw without one")
     columns = len(subjects)
+    plotter = pyvista.Plotter(
+        off_screen=not window,
+        shape=(1, columns),
+        border=False,
+        window_size=[columns * view.width, view.height],
+    )
     try:
-        plotter = pyvista.Plotter(
-            off_screen=not window,
-            shape=(1, columns),
-            border=False,
-            window_size=[columns * size[0], size[1]],
-        )
-    except (RuntimeError, OSError) as error:
-        raise WriteError(f"VTK can't draw here ({error}): is EGL or OSMesa there?") from error
-    try:
-        limits = _limits(lines)
+        plotter.set_background(PAPER)
         for column, (subject, traced) in enumerate(zip(subjects, lines, strict=True)):
             plotter.subplot(0, column)
-            _fill(plotter, subject, traced, limits, several=columns > 1)
+            _add_lines(plotter, subject, traced, limits)
+            if clouds:
+                _add_cloud(plotter, subject)
+            flow = subject.morph.flow.kind
+            names = f"{subject.source_name} to {subject.target_name}, "
+            plotter.add_text(
+                flow if columns > 1 else names + flow,
+                position=(0.04, 0.94),
+                viewport=True,
+                font_size=13,
+                color=INK,
+            )
         plotter.link_views()
-        azimuth, elevation, up = camera
-        around = subjects[0].bounds()
-        view = orbit(around, [azimuth], elevation=elevation, up=up, width=size[0], height=size[1])
-        _stand(plotter, view[0], around.center, columns)
+        _stand(plotter.camera, view, subjects[0].bounds().center)
+        for column in range(columns):
+            plotter.subplot(0, column)
+            plotter.renderer.ResetCameraClippingRange()
         yield plotter
     finally:
         plotter.close()
 
 
-def _fill(
-    plotter: Any, subject: Subject, lines: Streamlines, limits: list[float], *, several: bool
-) -> None:
+def _choose_window(visible: bool) -> None:
+    """Make sure VTK has something to draw with: where it has not, it ends the whole process."""
+    display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+    if sys.platform != "linux" or display:
+        return
+    if visible:
+        raise WriteError("no display to open a window on: give -o x.png to draw without one")
+    for library, window in (("EGL", "vtkEGLRenderWindow"), ("OSMesa", "vtkOSOpenGLRenderWindow")):
+        if find_library(library):
+            os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)
+            return
+    raise WriteError(
+        "drawing without a display needs EGL or OSMesa: run  apt-get install libegl1 "
+        "libegl-mesa0, or write the lines as a .vtp"
+    )
+
+
+def _add_lines(plotter: Any, subject: Subject, lines: Streamlines, limits: list[float]) -> None:
     import pyvista
 
     radius = subject.bounds().radius
-    plotter.set_background(PAPER)
-    for splats in (subject.morph.source, subject.morph.target):
-        cloud, colours = _cloud(splats)
+    if len(lines.paths):
+        tails = _lines(lines.tails).tube(radius=0.0012 * radius, n_sides=6)
+        plotter.add_mesh(tails, color=QUIET, lighting=False)
         plotter.add_mesh(
-            pyvista.PolyData(cloud),
-            scalars=colours,
-            rgba=True,
+            _polylines(lines).tube(radius=0.0034 * radius, n_sides=10),
+            scalars=lines.colouring,
+            cmap=COLOUR_MAPS[lines.colouring],
+            clim=limits,
+            show_scalar_bar=False,
+            smooth_shading=True,
+        )
+        plotter.add_scalar_bar(
+            title=COLOURINGS[lines.colouring] + "\n",
+            color=INK,
+            n_labels=3,
+            fmt="%.2g",
+            width=0.5,
+            height=0.06,
+            position_x=0.25,
+            position_y=0.03,
+            title_font_size=18,
+            label_font_size=16,
+        )
+    marks = lines.paths[lines.marked]
+    for points, colour in ((marks[:, 0], SOURCE_COLOUR), (marks[:, -1], TARGET_COLOUR)):
+        if len(points):
+            ball = pyvista.Sphere(radius=0.0085 * radius)
+            balls = pyvista.PolyData(points).glyph(geom=ball, scale=False, orient=False)
+            plotter.add_mesh(balls, color=colour, smooth_shading=True)
+
+
+def _add_cloud(plotter: Any, subject: Subject) -> None:
+    import pyvista
+
+    for splats, most, opacity in (
+        (subject.morph.source, CLOUD, 1.0),
+        (subject.morph.target, CLOUD // 3, 0.35),
+    ):
+        kept = splats.select(thin(splats, most))
+        colours = (0.5 + SH0 * kept.sh[:, 0]).clamp(0, 1).numpy(force=True)
+        plotter.add_mesh(
+            pyvista.PolyData(kept.means.double().numpy(force=True)),
+            scalars=to_bytes(PALENESS + (1 - PALENESS) * colours),
+            rgb=True,
+            opacity=opacity,
             point_size=5,
             render_points_as_spheres=True,
             lighting=False,
         )
-    tubes = _polylines(lines).tube(radius=0.004 * radius, n_sides=8)
-    plotter.add_mesh(
-        tubes,
-        scalars=lines.colouring,
-        cmap=COLOUR_MAPS[lines.colouring],
-        clim=limits,
-        show_scalar_bar=False,
-        smooth_shading=True,
-    )
-    plotter.add_scalar_bar(
-        title=COLOURINGS[lines.colouring],
-        color=INK,
-        n_labels=3,
-        fmt="%.3g",
-        width=0.5,
-        height=0.06,
-        position_x=0.25,
-        position_y=0.03,
-        title_font_size=18,
-        label_font_size=16,
-    )
-    marks = lines.paths[: lines.landmarks]
-    for points, colour in ((marks[:, 0], SOURCE_COLOUR), (marks[:, -1], TARGET_COLOUR)):
-        if len(points):
-            plotter.add_mesh(
-                pyvista.PolyData(points).glyph(
-                    geom=pyvista.Sphere(radius=0.011 * radius), scale=False, orient=False
-                ),
-                color=colour,
-                smooth_shading=True,
-            )
-    missed = _missed(subject)
-    if missed is not None:
-        # Where the targets' landmarks are: a rim shows round the end of a path that misses.
-        plotter.add_mesh(
-            pyvista.PolyData(missed), color=INK, point_size=3, render_points_as_spheres=True
-        )
-    flow = subject.morph.flow.kind
-    title = flow if several else f"{subject.title}   {flow}"
-    plotter.add_text(title, position="upper_left", font_size=12, color=INK)
 
 
-def _missed(subject: Subject) -> Array | None:
-    points = subject.target_points
-    return points.numpy(force=True) if len(points) else None
+def _lines(paths: Array) -> Any:
+    """(m, steps, 3) as VTK polylines."""
+    import pyvista
+
+    count, steps, _ = paths.shape
+    index = np.arange(count * steps).reshape(count, steps)
+    cells = np.column_stack([np.full(count, steps), index])
+    return pyvista.PolyData(paths.reshape(-1, 3), lines=cells.ravel())
 
 
 def _polylines(lines: Streamlines) -> Any:
-    import pyvista
-
-    count, steps, _ = lines.paths.shape
-    index = np.arange(count * steps).reshape(count, steps)
-    cells = np.column_stack([np.full(count, steps), index])
-    made = pyvista.PolyData(lines.paths.reshape(-1, 3), lines=cells.ravel())
+    made = _lines(lines.paths)
     made[lines.colouring] = lines.values.ravel()
-    made["t"] = np.tile(np.linspace(0, 1, steps), count)
+    made["t"] = np.tile(np.linspace(0, 1, STEPS), len(lines.paths))
     return made
-
-
-def _cloud(splats: Gaussians) -> tuple[Array, NDArray[np.uint8]]:
-    """The splats that cover most: where they are, and RGBA, pale so that lines stand out."""
-    kept = splats.select(thin(splats, BACKGROUND))
-    colours = (0.5 + SH0 * kept.sh[:, 0]).clamp(0, 1).numpy(force=True)
-    strength = footprints(kept).sqrt()
-    shown = 0.30 * (strength / strength.max()).clamp(0.25, 1).numpy(force=True)
-    return kept.means.double().numpy(force=True), to_bytes(np.column_stack([colours, shown]))
 
 
 def _limits(lines: Sequence[Streamlines]) -> list[float]:
@@ -289,22 +333,7 @@ def _limits(lines: Sequence[Streamlines]) -> list[float]:
     return [float(low), float(max(high, low + 1e-12))]
 
 
-def _stand(plotter: Any, view: Camera, focus: Array, columns: int) -> None:
-    """Put the cameras of all panels where ``view`` is."""
-    for column in range(columns):
-        plotter.subplot(0, column)
-        camera = plotter.camera
-        camera.position, camera.focal_point = view.position.tolist(), focus.tolist()
-        camera.up = (-view.viewmat[1, :3]).tolist()
-        camera.view_angle = float(np.degrees(2 * np.arctan(view.height / 2 / view.K[1, 1])))
-        plotter.renderer.ResetCameraClippingRange()
-
-
-def _export_html(plotter: Any, path: Path) -> None:
-    try:
-        plotter.export_html(path)
-    except ImportError as error:
-        raise OptionError(
-            f"a page of streamlines needs pyvista's packages for the browser ({error}): run  "
-            "pip install 'pyvista[jupyter]', or write a .png or .vtp"
-        ) from error
+def _stand(camera: Any, view: Camera, focus: Array) -> None:
+    camera.position, camera.focal_point = view.position.tolist(), focus.tolist()
+    camera.up = (-view.viewmat[1, :3]).tolist()
+    camera.view_angle = float(np.degrees(2 * np.arctan(view.height / 2 / view.K[1, 1])))

@@ -1,0 +1,230 @@
+"""The live viewer: a run in the browser, served by viser, with our rasterizer's picture on call."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from renderer import Camera, orbit
+from splatmorph.covariance import quat_to_matrix
+from splatmorph.errors import MissingExtraError, OptionError
+from splatmorph.gaussians import Gaussians
+from splatmorph.morph import Morph
+from splatmorph.ramps import RAMPS
+from splatmorph.rendering import Colour, render
+from splatmorph.transport import COVARIANCES
+from splatmorph.view.subject import Subject, thin
+
+SH0 = 0.28209479177387814
+FRAME = 1 / 24
+"""Seconds a playing morph stands still."""
+ROUND_TRIP = 6.0
+"""Seconds from source to target and back."""
+LONGEST = 1280
+"""Pixels of the longer side of a rasterizer's picture that is sent."""
+SOURCE_COLOUR, TARGET_COLOUR = (19, 128, 124), (200, 116, 26)
+
+
+def serve(
+    subject: Subject,
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    up: str = "y",
+    background: Colour = (1.0, 1.0, 1.0),
+    max_splats: int = 200_000,
+) -> Viewer:
+    """Serve ``subject`` at http://host:port and return at once.
+
+    Arguments:
+        host: the address to listen at; the default is reached from this machine only.
+        port: the first port to try.
+        up: the axis that is up.
+        background: RGB in [0, 1] of the rasterizer's picture.
+        max_splats: most splats that are sent; the rasterizer's picture has them all.
+
+    Raises:
+        MissingExtraError: viser is not installed.
+        OptionError: the address can't be listened at.
+    """
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError("viser", "view", "the live viewer") from error
+    try:
+        server = viser.ViserServer(host=host, port=port, label="splatmorph", verbose=False)
+    except OSError as error:
+        raise OptionError(f"can't listen at {host}:{port} ({error}): give another") from error
+    return Viewer(server, subject, up, background, max_splats)
+
+
+@dataclass(frozen=True)
+class _Drawn:
+    """What the splats on the clients' screens were drawn for."""
+
+    t: float
+    part: str
+    ramp: str
+
+
+class Viewer:
+    """One server, the controls all its visitors share, and what they see."""
+
+    def __init__(
+        self, server: Any, subject: Subject, up: str, background: Colour, max_splats: int
+    ) -> None:
+        self.server, self.subject, self.background = server, subject, background
+        self.max_splats = max_splats
+        self.drawn: _Drawn | None = None
+        self.clock = 0.0
+        self.layers: list[Any] = []
+        self.seen: dict[int, tuple[Any, ...]] = {}
+        gui = server.gui
+        self.time = gui.add_slider("t", min=0.0, max=1.0, step=0.01, initial_value=0.0)
+        self.playing = gui.add_checkbox("Play", initial_value=False)
+        self.loop = gui.add_checkbox("Loop", initial_value=True)
+        self.part = gui.add_dropdown("Show", ("source", "morph", "target"), initial_value="morph")
+        self.ramp = gui.add_dropdown("Ramp", tuple(RAMPS), initial_value=subject.ramp)
+        self.marks = gui.add_checkbox("Landmarks", initial_value=False)
+        self.true = gui.add_checkbox(
+            "Rasterizer's picture",
+            initial_value=False,
+            hint="Draw by splatmorph's own rasterizer instead of the browser.",
+        )
+        self._place_camera(up)
+
+    @property
+    def address(self) -> str:
+        """Where to point a browser."""
+        return f"http://{self.server.get_host()}:{self.server.get_port()}"
+
+    def _place_camera(self, up: str) -> None:
+        bounds = self.subject.bounds()
+        first = orbit(bounds, [0.0], up=up)[0]
+        camera = self.server.initial_camera
+        camera.position, camera.look_at = tuple(first.position), tuple(bounds.center)
+        camera.up = tuple(-first.viewmat[1, :3])
+        camera.fov = float(2 * np.arctan(first.height / 2 / first.K[1, 1]))
+        self.server.scene.set_up_direction(tuple(-first.viewmat[1, :3]))
+
+    def run(self) -> None:
+        """Follow the controls until interrupted, then stop the server."""
+        import time
+
+        try:
+            while True:
+                begun = time.perf_counter()
+                self.step(FRAME)
+                time.sleep(max(0.0, FRAME - (time.perf_counter() - begun)))
+        except KeyboardInterrupt:
+            return
+        finally:
+            self.server.stop()
+
+    def step(self, seconds: float) -> None:
+        """Let time pass and bring every screen up to date."""
+        if self.playing.value:
+            self._advance(seconds)
+        wanted = _Drawn(self.time.value, self.part.value, self.ramp.value)
+        if wanted != self.drawn:
+            self._show(wanted)
+            self._draw_marks()
+            self.drawn = wanted
+            self.seen.clear()
+        for layer in self.layers:
+            layer.visible = self.marks.value
+        self._splats.visible = not self.true.value
+        self._send_pictures()
+
+    def _advance(self, seconds: float) -> None:
+        self.clock = (self.clock + seconds / ROUND_TRIP) % 1
+        self.time.value = round((1 - np.cos(2 * np.pi * self.clock)) / 2, 2)
+        if not self.loop.value and self.time.value >= 1:
+            self.playing.value, self.clock = False, 0.0
+
+    def splats(self, wanted: _Drawn) -> Gaussians:
+        """The morph, or one side carried along at full opacity."""
+        morph = self.subject.morph
+        if wanted.part == "morph":
+            chosen = Morph(
+                morph.source,
+                morph.target,
+                morph.flow,
+                ramp=wanted.ramp,
+                covariance=self.subject.covariance,
+            )
+            return chosen.at(wanted.t)
+        side, t = (
+            (morph.source, wanted.t) if wanted.part == "source" else (morph.target, wanted.t - 1)
+        )
+        return COVARIANCES[self.subject.covariance](side, morph.flow, [t])(0)
+
+    def _show(self, wanted: _Drawn) -> None:
+        self.shown = self.splats(wanted)
+        kept = self.shown.select(thin(self.shown, self.max_splats))
+        axes = quat_to_matrix(kept.quats.double().T) * kept.scales.double().T[None]
+        self._splats = self.server.scene.add_gaussian_splats(
+            "/morph",
+            centers=kept.means.float().numpy(force=True),
+            covariances=torch.einsum("ijn,kjn->nik", axes, axes).float().numpy(force=True),
+            rgbs=(0.5 + SH0 * kept.sh[:, 0]).clamp(0, 1).float().numpy(force=True),
+            opacities=kept.opacities[:, None].float().numpy(force=True),
+        )
+
+    def _draw_marks(self) -> None:
+        flow, t = self.subject.morph.flow, self.time.value
+        self.layers = []
+        for name, points, time, colour in (
+            ("/source landmarks", self.subject.source_points, t, SOURCE_COLOUR),
+            ("/target landmarks", self.subject.target_points, t - 1, TARGET_COLOUR),
+        ):
+            if not len(points):
+                continue
+            with torch.no_grad():
+                where = flow(points, time).numpy(force=True)
+            layer = self.server.scene.add_point_cloud(
+                name,
+                where.astype(np.float32),
+                colour,
+                point_size=0.012 * self.subject.bounds().radius,
+                point_shape="circle",
+                precision="float32",
+                visible=self.marks.value,
+            )
+            self.layers.append(layer)
+
+    def _send_pictures(self) -> None:
+        """To every visitor whose view has changed since the last one."""
+        for number, client in self.server.get_clients().items():
+            if not self.true.value:
+                if self.seen.pop(number, None) is not None:
+                    client.scene.set_background_image(None)
+                continue
+            eye = client.camera
+            view = (tuple(eye.wxyz), tuple(eye.position), eye.fov, eye.image_width)
+            if self.seen.get(number) != view:
+                self.seen[number] = view
+                client.scene.set_background_image(
+                    self._picture(eye), format="jpeg", jpeg_quality=90
+                )
+
+    def _picture(self, eye: Any) -> NDArray[np.uint8]:
+        """What a visitor's camera sees, by our rasterizer."""
+        return render(self.shown, camera_of(eye), background=self.background)
+
+
+def camera_of(eye: Any) -> Camera:
+    """The camera of a visitor: viser's camera → world rotation wxyz and position, fov upright."""
+    rotation = quat_to_matrix(torch.as_tensor(eye.wxyz, dtype=torch.float64)[:, None])[..., 0]
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = rotation.numpy().T
+    viewmat[:3, 3] = -viewmat[:3, :3] @ np.asarray(eye.position)
+    shrink = min(1.0, LONGEST / max(eye.image_width, eye.image_height))
+    width, height = round(eye.image_width * shrink), round(eye.image_height * shrink)
+    focal = height / 2 / np.tan(eye.fov / 2)
+    K = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    return Camera(viewmat, K, width, height)
