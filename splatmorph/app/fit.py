@@ -8,21 +8,20 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import torch
 from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Device, Out, Overwrite, Seed, Splat, choose_device
-from splatmorph.avatars import pose_warnings
+from splatmorph.app.posing import Pair, Posing, landmarks_of
 from splatmorph.chain import mean_landmarks
-from splatmorph.errors import LandmarkError, OutputExistsError
+from splatmorph.errors import OutputExistsError
 from splatmorph.fit import FitConfig, FitProgress, FitReport
 from splatmorph.fit import fit as fit_flow
 from splatmorph.flows import Flow, Node, make_flow
 from splatmorph.inputs import Input as Loaded
-from splatmorph.inputs import load_input
 from splatmorph.landmarks import Landmarks
 from splatmorph.run import (
     MANIFEST,
@@ -36,21 +35,6 @@ from splatmorph.run import (
 )
 
 MOST_DOMAIN_POINTS = 20_000
-
-
-@Parameter(name="*")
-@dataclass(frozen=True)
-class Posing:
-    """How avatars are posed; plain splats stay as they are."""
-
-    frame: int | None = None
-    """Pose avatars as in this frame of their tracks; canonical if not given."""
-    pose_from: Literal["source", "target"] | None = None
-    """Take the pose of both from this one's track, so that mouths agree."""
-    landmarks_set: Literal["70", "254", "dense"] = "254"
-    """Which landmarks of the FLAME mesh to use."""
-    flame: Path | None = None
-    """The FLAME model file or its folder; else the variable SPLATMORPH_FLAME."""
 
 
 @Parameter(name="*")
@@ -95,12 +79,6 @@ def fit(
     mean: Annotated[
         bool, Parameter(negative="", help="Fit each splat to the mean shape of all instead.")
     ] = False,
-    source_landmarks: Annotated[
-        Path | None, Parameter(help="Default: landmarks beside the source.")
-    ] = None,
-    target_landmarks: Annotated[
-        Path | None, Parameter(help="Default: landmarks beside the target.")
-    ] = None,
     fitting: Fitting = BY_DEFAULT,
     posing: Posing = CANONICAL_POSE,
     device: Device = "cpu",
@@ -116,10 +94,9 @@ def fit(
     With more than two splats the run is a chain whose t goes from 0 at the first to n - 1 at the
     n-th; with --mean it is their average.
     """
-    given = (source_landmarks, target_landmarks, *[None] * len(more))
-    loaded = _load((source, target, *more), given, posing)
+    loaded = posing.load((source, target, *more))
     folder = out or Path("-".join(one.name for one in loaded) + ("-mean.run" if mean else ".run"))
-    legs = _legs([_landmarks_of(one) for one in loaded], mean)
+    legs = [posing.thinned(leg) for leg in _legs([landmarks_of(one) for one in loaded], mean)]
     options = dataclasses.asdict(fitting) | {"mean": mean}
     matched = [p.match(q) for p, q in legs]
     told = [options, [[names, p.tolist(), q.tolist()] for p, q, names in matched]]
@@ -138,26 +115,7 @@ def fit(
     _summarise(folder, loaded, reports)
 
 
-def _load(paths: Sequence[Path], landmarks: Sequence[Path | None], posing: Posing) -> list[Loaded]:
-    wanted: dict[str, Any] = {
-        "frame": posing.frame,
-        "landmarks_set": posing.landmarks_set,
-        "flame": posing.flame,
-    }
-    if posing.pose_from is not None:
-        wanted["pose"] = paths[0] if posing.pose_from == "source" else paths[1]
-    loaded = [
-        load_input(path, landmarks=given, **wanted)
-        for path, given in zip(paths, landmarks, strict=True)
-    ]
-    for one, next_one in itertools.pairwise(loaded):
-        if one.avatar or next_one.avatar:
-            for warning in pose_warnings(one.avatar, next_one.avatar):
-                console.warn(warning)
-    return loaded
-
-
-def _legs(points: Sequence[Landmarks], mean: bool) -> list[tuple[Landmarks, Landmarks]]:
+def _legs(points: Sequence[Landmarks], mean: bool) -> list[Pair]:
     if not mean:
         return list(itertools.pairwise(points))
     middle = mean_landmarks(points)
@@ -181,17 +139,6 @@ def _claim_run(folder: Path, resume: bool, overwrite: bool) -> None:
             f"{folder} is there already and no finished run: give --resume to go on with an "
             "interrupted fit, -w to fit anew, or -o to write elsewhere"
         )
-
-
-def _landmarks_of(loaded: Loaded) -> Landmarks:
-    if loaded.landmarks is None:
-        stem = loaded.path.with_suffix("")
-        raise LandmarkError(
-            f"{loaded.path} has no landmarks beside it: put them in {stem.name}.landmarks.json "
-            '({"points": {"nose": [x, y, z], …}}), or give --source-landmarks and '
-            "--target-landmarks"
-        )
-    return loaded.landmarks
 
 
 def _domain(loaded: Sequence[Loaded]) -> torch.Tensor:

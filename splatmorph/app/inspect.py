@@ -9,6 +9,7 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Json
+from splatmorph.avatars import is_avatar, summarize
 from splatmorph.errors import SplatmorphError
 from splatmorph.inputs import Input, bounding_box, load_input
 
@@ -38,6 +39,11 @@ def inspect(
 
 def describe(file: Path) -> dict[str, Any]:
     """What ``inspect`` says of one file, in JSON's types."""
+    rig: dict[str, Any] = {}
+    if is_avatar(file):
+        rig = _rig(file)
+        if rig["missing"]:
+            return {"file": str(file), **rig}
     loaded = load_input(file)
     gaussians = loaded.gaussians
     low, high = (corner.tolist() for corner in bounding_box(gaussians))
@@ -45,7 +51,8 @@ def describe(file: Path) -> dict[str, Any]:
     norms = gaussians.quats.norm(dim=1)
     return {
         "file": str(file),
-        "kind": f"avatar, shown {loaded.avatar.posed}" if loaded.avatar else "splat in world space",
+        "kind": "splat in world space",
+        **rig,
         "splats": len(gaussians),
         "sh_degree": gaussians.sh_degree,
         "bounds_98_percent": [low, high],
@@ -55,6 +62,21 @@ def describe(file: Path) -> dict[str, Any]:
         "unnormalised_quats": int(((norms - 1).abs() > 1e-3).sum()),
         "extras": sorted(gaussians.extras),
         "landmarks": _landmarks(loaded),
+    }
+
+
+def _rig(file: Path) -> dict[str, Any]:
+    found = summarize(file)
+    return {
+        "kind": "avatar of GaussianAvatars, in the frames of mesh triangles; posed for the rest",
+        "splats": found.splats,
+        "sh_degree": found.sh_degree,
+        "faces_with_splats": found.faces_bound,
+        "teeth": found.teeth,
+        "track_frames": found.frames,
+        "mesh": found.mesh_file and str(found.mesh_file),
+        "FLAME": str(found.flame_file) if found.flame_file else "not found",
+        "missing": found.hint,
     }
 
 

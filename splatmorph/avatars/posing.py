@@ -20,11 +20,14 @@ LIPS_APART = 0.004
 """Metres by which the heights of two mouths may differ where only meshes are known."""
 
 
-def pose_warnings(source: Avatar | None, target: Avatar | None) -> tuple[str, ...]:
+def pose_warnings(
+    source: Avatar | None, target: Avatar | None, *, by_mesh: bool = True
+) -> tuple[str, ...]:
     """What will look wrong in a morph of these two, one line each; empty if nothing will.
 
     Arguments:
         source, target: None stands for a plain splat, whose pose nobody knows.
+        by_mesh: whether the landmarks are those of the meshes.
     """
     if source is None or target is None:
         posed = source or target
@@ -37,9 +40,8 @@ def pose_warnings(source: Avatar | None, target: Avatar | None) -> tuple[str, ..
             "points but can't open a mouth, so lips will smear; pose both canonically (the "
             "default), or by one frame (--frame with --pose-from)"
         )
-    if source.vertices.shape == target.vertices.shape and torch.equal(
-        source.vertices, target.vertices
-    ):
+    same = source.vertices.shape == target.vertices.shape
+    if by_mesh and same and torch.equal(source.vertices, target.vertices):
         warnings.append(
             f"the meshes of {source.name} and {target.name} are one and the same, so their "
             "landmarks coincide and nothing would move: give landmarks of your own, or the meshes "
