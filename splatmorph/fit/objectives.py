@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from splatmorph.fit.report import FitConfig
-from splatmorph.fit.solve import half_time_gap, solve_affine, solve_spline
+from splatmorph.fit.solve import affine_velocity, half_time_gap, solve_spline
 from splatmorph.fit.train import Recipe
 from splatmorph.flows.conjugate import Conjugate
 from splatmorph.flows.ifmorph import Ifmorph
@@ -67,7 +67,8 @@ class SirenObjective:
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
         """Draw the network anew, on the affine base."""
-        solve_affine(self.field.base, *self.ends)
+        nowhere = self.ends[0][:0]
+        self.field.base.set(nowhere, nowhere, affine_velocity(*self.ends))
         self.field.network.initialise(torch.Generator().manual_seed(seed))
         return list(self.field.network.parameters())
 
@@ -122,9 +123,7 @@ class ConjugateObjective:
         """Couplings near the identity, under the least-squares affine velocity."""
         generator = torch.Generator().manual_seed(seed)
         self.module.initialise(generator)
-        middle = (self.p + self.q) / 2
-        design = torch.cat([torch.ones_like(middle[:, :1]), middle], dim=1)
-        affine = torch.linalg.lstsq(design, self.q - self.p).solution
+        affine = affine_velocity(self.p, self.q)
         with torch.no_grad():
             self.module.drift.copy_(affine[0])
             self.module.generator.copy_(affine[1:].T)

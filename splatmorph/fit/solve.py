@@ -29,12 +29,11 @@ def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) ->
     return ends[len(p) :] - ends[: len(p)]
 
 
-def solve_affine(field: SplineField, p: Tensor, q: Tensor) -> None:
-    """Make ``field`` the affine velocity that comes closest to q - p at the midpoints."""
+def affine_velocity(p: Tensor, q: Tensor) -> Tensor:
+    """The affine map that comes closest to q - p at the midpoints: (1 + dim, dim), constant first."""
     middle = (p + q) / 2
     design = torch.cat([torch.ones_like(middle[:, :1]), middle], dim=1)
-    affine = torch.linalg.pinv(design) @ (q - p)
-    field.set(middle[:0], middle[:0], affine)
+    return torch.linalg.pinv(design) @ (q - p)
 
 
 def solve_spline(
@@ -83,7 +82,10 @@ def anderson(tried: list[tuple[Tensor, Tensor]]) -> Tensor:
         return x + f
     dx = torch.stack([(x - earlier).flatten() for earlier, _ in tried[:-1]], 1)
     df = torch.stack([(f - earlier).flatten() for _, earlier in tried[:-1]], 1)
-    mix = torch.linalg.lstsq(df, f.flatten()[:, None]).solution
+    # By QR: the default driver's result depends on where its buffers happen to lie.
+    mix = torch.linalg.lstsq(df, f.flatten()[:, None], driver="gels").solution
+    if not torch.isfinite(mix).all():
+        return x + f
     return x + f - ((dx + df) @ mix).reshape(x.shape)
 
 
