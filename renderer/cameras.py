@@ -192,16 +192,16 @@ def camera_path(keys: Sequence[Camera], count: int) -> list[Camera]:
 
     def spline(values: Array) -> Array:
         slopes = np.gradient(values, axis=0)
-        return np.asarray(CubicHermiteSpline(knots, values, slopes)(times))
+        return np.asarray(CubicHermiteSpline(knots, values, slopes)(times), np.float64)
 
     positions = spline(np.array([key.position for key in keys]))
     intrinsics = spline(np.array([key.K for key in keys]))
     cameras = []
     for R, position, K in zip(rotations.as_matrix(), positions, intrinsics, strict=True):
-        viewmat: Array = np.eye(4)
+        viewmat = np.eye(4)
         viewmat[:3, :3] = R
         viewmat[:3, 3] = -R @ position
-        cameras.append(Camera(viewmat, np.asarray(K), keys[0].width, keys[0].height))
+        cameras.append(Camera(viewmat, K, keys[0].width, keys[0].height))
     return cameras
 
 

@@ -15,6 +15,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from renderer import kernels, reference
+from renderer.errors import ArgumentError
 
 Array = NDArray[Any]
 
@@ -34,6 +35,15 @@ SPLAT_TYPES = {
 }
 LIST_BUDGET = 1 << 25
 """Entries of the tile lists at a time: 16 bytes each with the sort's scratch."""
+
+
+def check_device(device: str) -> None:
+    """Raise ArgumentError where Warp has no such device."""
+    try:
+        wp.get_device(device)
+    except (ValueError, RuntimeError) as error:
+        names = ", ".join(repr(known.alias) for known in wp.get_devices())
+        raise ArgumentError(f"device is {device!r}, expected one of {names} here") from error
 
 
 def view_of(

@@ -80,6 +80,7 @@ def rasterize(
 
     from renderer import native, portable
 
+    portable.check_device(device)
     size, depths = (int(width), int(height)), (float(near), float(far))
     views = [portable.view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
     if device == "cpu" and native.is_available():

@@ -26,6 +26,7 @@ Sink = Callable[[Frame], None]
 
 QUEUE = 8
 FRAME = re.compile(r"frame_\d+\.png")
+PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 VIDEOS = (".mp4", ".mov", ".mkv", ".webm")
 
 
@@ -47,6 +48,8 @@ def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None
     import imageio.v3 as imageio
 
     path = Path(path)
+    if path.suffix.lower() not in PICTURES:
+        raise OutputError(f"{path}: expected a picture's extension, one of {', '.join(PICTURES)}")
     if alpha is None:
         pixels = to_bytes(rgb)
     else:
@@ -54,10 +57,7 @@ def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None
         straight = np.asarray(rgb, np.float64) / np.maximum(cover, 1e-6)
         pixels = to_bytes(np.concatenate([straight, cover], axis=-1))
     with _beside(path) as partial:
-        try:
-            imageio.imwrite(partial, pixels)
-        except (ValueError, KeyError) as error:
-            raise OutputError(f"{path}: no picture can be written as such: {error}") from error
+        imageio.imwrite(partial, pixels)
     return path
 
 
@@ -66,8 +66,9 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
 
     frames: (height, width, 3) pictures of one size, uint8 or floats in 0 to 1, made while
     earlier ones are encoded. A path without extension is a folder, its files named
-    ``frame_0000.png`` and on; only there may frames have a fourth channel, straight alpha. Videos
-    with an odd side get their last row or column twice, since h264 halves the colours. Without ffmpeg at hand a video becomes a .gif of the same stem.
+    ``frame_0000.png`` and on; only there may frames have a fourth channel, straight alpha.
+    Videos with an odd side get their last row or column twice, since h264 halves the colours.
+    Without ffmpeg at hand a video becomes a .gif of the same stem.
 
     Returns the path written to. Raises OutputError where there is no frame, sizes differ, the
     extension is unknown or the place can't be written; whatever ``frames`` raises comes

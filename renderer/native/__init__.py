@@ -72,10 +72,9 @@ class _Memory:
         }
         memory = kernel.Memory()
         for name, size in sizes.items():
-            dtype = kernel.Memory.vars[name].type.dtype
             array = self.arrays.get(name)
             if array is None or len(array) < size:
-                array = self.arrays[name] = _aligned(size, dtype)
+                array = self.arrays[name] = _aligned(size, kernel.MEMORY_TYPES[name])
             setattr(memory, name, array)
         return memory
 

@@ -54,6 +54,9 @@ class Memory:
     open_rows: wp.array(dtype=int)
 
 
+MEMORY_TYPES = {name: member.type.dtype for name, member in Memory.vars.items()}
+
+
 def _source() -> str:
     folder = Path(__file__).parent
     pieces = [(folder / f"{piece}.h").read_text(encoding="utf-8") for piece in PIECES]
