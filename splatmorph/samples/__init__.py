@@ -7,7 +7,7 @@ from pathlib import Path
 from splatmorph.gaussians import Gaussians
 from splatmorph.io import write
 from splatmorph.landmarks import Landmarks
-from splatmorph.samples.bust import bust
+from splatmorph.samples.bust import portray
 from splatmorph.samples.marks import landmarks
 from splatmorph.samples.people import INES, OTTO
 
@@ -18,7 +18,7 @@ PAIR = (INES, OTTO)
 
 def sample_pair() -> tuple[tuple[Gaussians, Landmarks], tuple[Gaussians, Landmarks]]:
     """Both people with their landmarks, in metres, y up, facing +z; the same on every call."""
-    source, target = ((bust(person), landmarks(person)) for person in PAIR)
+    source, target = ((portray(person), landmarks(person)) for person in PAIR)
     return source, target
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from splatmorph.gaussians import Gaussians
 from splatmorph.samples import eyes, hair
-from splatmorph.samples.clothes import Garment
+from splatmorph.samples.clothes import Garment, studs
 from splatmorph.samples.head import Head
 from splatmorph.samples.implicit import Array, Field, column, length, mirrored, normals, smoothstep
 from splatmorph.samples.people import Person
@@ -17,7 +17,7 @@ from splatmorph.samples.surface import Grid, local_spacing, scatter
 
 LOW, HIGH = (-150.0, -222.0, -132.0), (150.0, 150.0, 140.0)
 CELL = 6.0
-OVERLAP = 0.62
+OVERLAP = 0.6
 """A flake's standard deviation over the distance to its neighbours: no gaps, little blur."""
 
 
@@ -32,7 +32,7 @@ def skin_spacing(head: Head) -> Field:
         nose = length(m - column((0, a.nose_tip[1] - 2, a.nose_tip[2] - 10)))
         ear = length(m - column((a.ear_x, -14, -12))) - 6
         fine = np.minimum(np.minimum(eye, mouth), np.minimum(nose, ear + 4))
-        out = 1.35 + 1.75 * smoothstep(10, 48, fine)
+        out = 1.40 + 1.80 * smoothstep(10, 48, fine)
         out = out + 2.4 * smoothstep(-2, 14, hairline(head, p)) * smoothstep(6, 22, ear)
         if a.beard:
             out = out + 1.2 * beard(head, p)
@@ -66,7 +66,10 @@ def strokes(person: Person) -> tuple[Strokes, Array, Grid]:
     parts.append(flat(cloth, n, OVERLAP * local_spacing(cloth), garment.colors(cloth), 0.15))
     folds.append(creases(garment, cloth, n))
 
-    for part in (eyes.eyeballs(head), eyes.lashes(head, rng), eyes.brows(head, rng)):
+    small = [eyes.eyeballs(head), eyes.lashes(head, rng), eyes.brows(head, rng)]
+    if person.studs:
+        small.append(studs(head))
+    for part in small:
         parts.append(part)
         folds.append(np.ones(len(part), np.float32))
     tresses = [hair.drawn_back(head, skin, rng), hair.wound(head, rng)] if person.bun else []
@@ -77,12 +80,10 @@ def strokes(person: Person) -> tuple[Strokes, Array, Grid]:
     for part in tresses:
         parts.append(part)
         folds.append(np.ones(len(part), np.float32))
-    import os
-    if os.environ.get('SHOW'): print([len(x) for x in parts])
     return Strokes.concatenate(parts), np.concatenate(folds), Grid.of(solid, LOW, HIGH, CELL)
 
 
-def bust(person: Person) -> Gaussians:
+def portray(person: Person) -> Gaussians:
     """The person's splat in metres, spherical harmonics of degree 1."""
     marks, folds, grid = strokes(person)
     base, slope = shade(marks, grid, folds)

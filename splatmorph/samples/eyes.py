@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from splatmorph.samples.head import EYEBALL, Head, LID
+from splatmorph.samples.head import EYEBALL, LID, Head
 from splatmorph.samples.implicit import Array, column, length, normals, project, smoothstep
 from splatmorph.samples.skin import mix
 from splatmorph.samples.splats import Strokes, flat, tangential
@@ -41,7 +43,9 @@ def eyeball(head: Head, side: int) -> Strokes:
     rays = np.sin(angle * 23 + 3 * np.sin(angle * 5)) * 0.5 + np.sin(angle * 41 + 1) * 0.3
     inner = smoothstep(IRIS, PUPIL, radius)
     iris = column(a.iris) * (0.80 + 0.75 * smoothstep(0.3, -0.9, v / IRIS) + 0.22 * rays)
-    iris = mix(iris, tuple(min(1.0, 1.5 * c + 0.10) for c in (a.iris[0] + 0.08, *a.iris[1:])), 0.30 * inner)
+    iris = mix(
+        iris, tuple(min(1.0, 1.5 * c + 0.10) for c in (a.iris[0] + 0.08, *a.iris[1:])), 0.30 * inner
+    )
     iris = mix(iris, tuple(0.22 * c for c in a.iris), smoothstep(IRIS - 1.5, IRIS - 0.2, radius))
     color = mix(color, iris, smoothstep(IRIS + 0.35, IRIS - 0.35, radius))
     color = mix(color, (0.012, 0.012, 0.015), smoothstep(PUPIL + 0.4, PUPIL - 0.4, radius))
@@ -50,14 +54,14 @@ def eyeball(head: Head, side: int) -> Strokes:
     lid_shadow = 0.45 + 0.55 * smoothstep(-0.5, 4.0, edge + 1.5 * smoothstep(2, -2, q[1]))
     size = np.full(q.shape[1], 0.72 * SPACING, np.float32)
     ball = flat(q + center, n, size, np.clip(color, 0, 1), 0.35)
-    ball = Strokes(**{**vars(ball), "light": lid_shadow.astype(np.float32)})
+    ball = replace(ball, light=lid_shadow.astype(np.float32))
 
     glint_at = [(-2.3, 2.6, 0.85), (-1.5, 2.5, 0.75), (-2.0, 1.9, 0.75), (2.4, -2.2, 0.42)]
     spot = np.array([[x, y, np.sqrt((EYEBALL + 0.5) ** 2 - x * x - y * y)] for x, y, _ in glint_at])
     spot = spot.T.astype(np.float32)
     size = np.array([s for _, _, s in glint_at], np.float32)
     glint = flat(spot + center, spot / length(spot), size, np.full_like(spot, 1.0), 0.9)
-    glint = Strokes(**{**vars(glint), "light": np.array([3, 3, 3, 0.9], np.float32)})
+    glint = replace(glint, light=np.array([3, 3, 3, 0.9], np.float32))
     return Strokes.concatenate([ball, glint])
 
 
@@ -65,7 +69,7 @@ def lashes(head: Head, rng: np.random.Generator) -> Strokes:
     """Upper lashes: short dark strands that sweep up and outward from the lid's edge."""
     a = head.person
     count = 44
-    u = rng.uniform(-0.75, 1.0, 2 * count).astype(np.float32)
+    u = rng.uniform(-0.75, 0.94, 2 * count).astype(np.float32)
     side = np.repeat([1.0, -1.0], count).astype(np.float32)
     x = u * a.eye_half_width
     y = a.lid_upper * (1 - u * u) * (1 - 0.14 * u) + a.eye_tilt * x + 0.2
@@ -94,7 +98,7 @@ def brow_curve(head: Head, t: Array) -> tuple[Array, Array]:
     a = head.person
     x = 11 + (a.eye_x * 1.62 - 11) * t
     rise = a.brow_arch
-    y = 18.5 - a.brow_drop + rise * np.sin(np.pi * np.clip(t * 0.72 + 0.02, 0, 1)) - 2.5 * t * t
+    y = 16.0 - a.brow_drop + rise * np.sin(np.pi * (0.12 + 0.6 * t)) - 2.5 * t * t
     return x, y
 
 
@@ -102,11 +106,11 @@ def brows(head: Head, rng: np.random.Generator) -> Strokes:
     """Brows of short strands, upright near the nose and lying outward at the tail."""
     a = head.person
     count = a.brow_hairs
-    t = rng.uniform(0, 1, count).astype(np.float32) ** 0.85
+    t = rng.uniform(0, 1, count).astype(np.float32) ** 0.75
     side = rng.choice(np.array([-1.0, 1.0], np.float32), count)
     across = rng.uniform(-1, 1, count).astype(np.float32)
     x, y = brow_curve(head, t)
-    width = a.brow_width * (0.55 + 0.45 * smoothstep(0, 0.25, t)) * smoothstep(1.12, 0.5, t)
+    width = a.brow_width * (0.4 + 0.6 * smoothstep(0, 0.3, t)) * smoothstep(1.12, 0.5, t)
     y = y + across * width * 0.5
     p = np.stack([side * x, y, np.full(count, 110, np.float32)])
     p[2] = a.eye_z + 22 - 0.006 * x * x

@@ -13,6 +13,7 @@ from splatmorph.samples.implicit import (
     column,
     ellipsoid,
     gradient,
+    join,
     length,
     mirrored,
     normals,
@@ -30,26 +31,37 @@ BUN_AXIS = column((0.0, 0.80, -0.60))
 
 
 def scalp(head: Head) -> Field:
-    """The skull that hair lies on: no ears, no face details."""
+    """The skull and neck that hair lies on: no ears, no face details."""
 
     def field(p: Array) -> Array:
-        return head.skull(mirrored(p))
+        m = mirrored(p)
+        return join(head.skull(m), head.neck(m), 14)
 
     return field
 
 
-def volume(head: Head) -> Field:
-    """Signed distance to the mass of the hair, for its shadows."""
-    thick = 3.0
+def volume(head: Head, share: float = 0.5) -> Field:
+    """Signed distance to the mass of the hair up to a share of its height."""
+    skin, swept = scalp(head), head.person.bun
+    tall = swept_height if swept else cropped_height
 
     def field(p: Array) -> Array:
-        above = np.clip(hairline(head, p) * 0.3, -20, thick)
-        d = head.skull(mirrored(p)) - np.maximum(above, 0) + np.maximum(-above, 0)
-        if head.person.bun:
-            d = np.minimum(d, bun(p))
-        return d
+        d = skin(p) - share * tall(head, p)
+        return np.minimum(d, bun(p)) if swept else d
 
     return field
+
+
+def swept_height(head: Head, p: Array) -> Array:
+    """Height of hair combed to the bun over the scalp, mm."""
+    return 6.0 * smoothstep(-2, 30, hairline(head, p))
+
+
+def cropped_height(head: Head, p: Array) -> Array:
+    """Height of short hair, longest on top."""
+    above = hairline(head, p)
+    full = smoothstep(0, 28, above) * smoothstep(-60, 40, p[1])
+    return smoothstep(-2, 4, above) * (2.0 + 5.0 * full)
 
 
 def bun(p: Array) -> Array:
@@ -115,7 +127,7 @@ def drawn_back(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     inside = (hairline(head, skin) > 1.5) & (in_ear(head, skin) < 0.3) & (bun(skin) > -3)
     roots = rng.choice(skin[:, inside], 1500, axis=1)
     roots += rng.normal(0, 1.5, roots.shape).astype(np.float32)
-    depth = rng.uniform(0, 1, roots.shape[1]).astype(np.float32)
+    depth = rng.random(roots.shape[1], np.float32)
 
     def groove(p: Array) -> Array:
         # A coordinate that a strand keeps on its way to the bun: its angle round the bun's axis.
@@ -126,8 +138,7 @@ def drawn_back(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
         return np.sin(angle * 34 + 2 * np.sin(angle * 9)) * 0.6 + np.sin(angle * 71 + 1) * 0.4
 
     def level(p: Array, s: float) -> Array:
-        grown = smoothstep(-2, 30, hairline(head, p))
-        return 0.6 + grown * (1.5 + 4.5 * depth + 1.0 * groove(p))
+        return 0.6 + swept_height(head, p) * (0.25 + 0.75 * depth + 0.16 * groove(p))
 
     def comb(p: Array, n: Array) -> Array:
         return target - p
@@ -151,7 +162,7 @@ def wound(head: Head, rng: np.random.Generator) -> Strokes:
     a = head.person
     roots = rng.normal(size=(3, 420)).astype(np.float32)
     roots = roots / length(roots) * column(BUN_RADII) + column(BUN_CENTER)
-    depth = rng.uniform(0, 1, roots.shape[1]).astype(np.float32)
+    depth = rng.random(roots.shape[1], np.float32)
 
     def twist(p: Array) -> Array:
         q = (p - column(BUN_CENTER)) / column(BUN_RADII)
@@ -182,14 +193,14 @@ def cropped(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     field = scalp(head)
     above = hairline(head, skin)
     inside = (above > rng.uniform(-1, 9, above.size)) & (in_ear(head, skin) < 0.3)
-    roots = rng.choice(skin[:, inside], 2300, axis=1)
+    roots = rng.choice(skin[:, inside], 2250, axis=1)
     roots += rng.normal(0, 1.5, roots.shape).astype(np.float32)
     lock = noise(roots, 16, a.seed + 9)
     depth = np.clip(rng.uniform(0, 1, roots.shape[1]) + 0.25 * lock, 0, 1).astype(np.float32)
-    full = smoothstep(0, 28, hairline(head, roots)) * smoothstep(-60, 40, roots[1])
+    tall = cropped_height(head, roots)
 
     def level(p: Array, s: float) -> Array:
-        return 0.5 + (1.5 + 6.0 * full) * (0.3 + 0.7 * depth) * (0.35 + 0.65 * s)
+        return 0.5 + 1.1 * tall * (0.3 + 0.7 * depth) * (0.35 + 0.65 * s)
 
     sway = 0.5 * noise(roots, 22, a.seed + 10)
 
@@ -200,7 +211,7 @@ def cropped(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
         return back.astype(np.float32)
 
     steps = 3
-    reach = (3.0 + 3.4 * full) * rng.uniform(0.8, 1.2, roots.shape[1]).astype(np.float32)
+    reach = (2.0 + 0.65 * tall) * (0.8 + 0.4 * rng.random(roots.shape[1], np.float32))
     pieces = strands(field, roots, comb, level, steps, reach)
     points = pieces[0]
     depths = np.tile(depth, steps)
@@ -218,11 +229,13 @@ def bearded(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     a = head.person
     density = beard(head, skin)
     inside = density > rng.uniform(0.1, 1.0, density.size)
-    roots = rng.choice(skin[:, inside], 2000, axis=1)
+    roots = rng.choice(skin[:, inside], 1950, axis=1)
     roots += rng.normal(0, 0.5, roots.shape).astype(np.float32)
-    depth = rng.uniform(0, 1, roots.shape[1]).astype(np.float32)
+    depth = rng.random(roots.shape[1], np.float32)
     q = head.mouth_frame(mirrored(roots))
-    moustache = smoothstep(-2, 2, q[1]) * smoothstep(a.mouth_half_width + 12, a.mouth_half_width, mirrored(roots)[0])
+    moustache = smoothstep(-2, 2, q[1]) * smoothstep(
+        a.mouth_half_width + 12, a.mouth_half_width, mirrored(roots)[0]
+    )
     thick = smoothstep(0.2, 1.0, beard(head, roots)) * (1 - 0.5 * moustache)
     long = smoothstep(-70, -115, roots[1]) * smoothstep(10, 60, roots[2])
 
@@ -237,7 +250,7 @@ def bearded(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
         return np.stack([out + sway, down, 0.25 - 0.5 * (p[1] < -105)]).astype(np.float32)
 
     steps = 2
-    reach = (2.8 + 2.6 * long) * rng.uniform(0.8, 1.2, roots.shape[1]).astype(np.float32)
+    reach = (2.8 + 2.6 * long) * (0.8 + 0.4 * rng.random(roots.shape[1], np.float32))
     pieces = strands(head, roots, comb, level, steps, reach)
     points = pieces[0]
     tip = np.repeat(np.linspace(0, 1, steps), roots.shape[1])
@@ -247,4 +260,4 @@ def bearded(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
     colors = mix(column(a.hair) * 0.85, a.hair_tip, np.clip(tone + 0.2 * chin, 0, 1))
     light = 0.62 + 0.30 * np.tile(depth, steps) + 0.12 * tip
     clear = np.minimum(*head.lips(mirrored(points))) > 0.3
-    return paint(head, pieces, 0.55, colors, light, 0.4).select(clear)
+    return paint(head, pieces, 0.72, colors, light, 0.4).select(clear)

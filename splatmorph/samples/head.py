@@ -55,15 +55,16 @@ class Head:
         corner = (a.chin_radii[0], a.chin[1] + 3, a.chin[2] - 6)
         d = join(d, capsule(m, gonion, corner, a.jaw_radius, a.jaw_radius * 0.8), 24)
         root = (a.jaw_half_width + 6, -28, 2)
-        d = join(d, capsule(m, root, gonion, a.jaw_radius - 2, a.jaw_radius), 20)
+        d = join(d, capsule(m, root, gonion, a.jaw_radius - 2, a.jaw_radius), 28)
         d = join(d, ellipsoid(m, a.chin, a.chin_radii), 16)
         size = a.cheekbone_size
         d = join(d, ellipsoid(m, a.cheekbone, (size, size * 0.72, size)), 22)
         fill = 4 * a.cheek_fill
         d = join(d, ellipsoid(m, (36, -50, 58), (18 + fill, 24 + fill, 18 + fill)), 24)
         d = join(d, ellipsoid(m, (0, -86, 34), (34, 17, 38)), 20)
-        brow = [(9, 17, 85), (26, 23 - a.brow_drop, 84), (43, 17 - a.brow_drop, 70)]
-        return join(d, tube(m, brow, (a.brow_ridge, a.brow_ridge, a.brow_ridge - 1)), 14)
+        d = join(d, ellipsoid(m, (a.eye_x + 17, 2, 56), (11, 18, 14)), 14)
+        brow = [(4, 15.5, 84), (26, 23 - a.brow_drop, 84), (43, 17 - a.brow_drop, 70)]
+        return join(d, tube(m, brow, (a.brow_ridge - 1, a.brow_ridge, a.brow_ridge - 1)), 16)
 
     def with_sockets(self, m: Array, d: Array) -> Array:
         """Hollows for the eyes and at the temples."""
@@ -85,16 +86,18 @@ class Head:
 
         def base(q: Array) -> Array:
             n = ellipsoid(q, (0, y, z - tip), (tip, tip * 0.88, tip))
-            side = ellipsoid(q, (a.nostril_x, y - 3, z - 16), (wing * 0.75, wing * 0.9, wing * 1.25))
+            side = ellipsoid(
+                q, (a.nostril_x, y - 3, z - 16), (wing * 0.75, wing * 0.9, wing * 1.25)
+            )
             n = join(n, side, 7)
             columella = capsule(q, (0, y - 6, z - 9), (0, y - 10, z - 24), 3.4, 4.5)
             return join(n, columella, 4)
 
         def nostril(q: Array) -> Array:
             center = (a.nostril_x * 0.55, y - 9.0, z - 14)
-            return ellipsoid(q, center, (wing * 0.36, wing * 0.5, wing * 0.75))
+            return ellipsoid(q, center, (wing * 0.40, wing * 0.55, wing * 0.8))
 
-        d = join(d, near(m, (0, y + 14, z - 24), 75, bridge), 13)
+        d = join(d, near(m, (0, y + 14, z - 24), 75, bridge), 5 + r)
         d = join(d, near(m, (0, y, z - 14), 50, base), 7)
         return carve(d, near(m, (0, y - 8, z - 14), 30, nostril), 2.5)
 
@@ -116,7 +119,9 @@ class Head:
         w, up, low = a.mouth_half_width, a.lip_upper, a.lip_lower
         # Both lips thin out toward the corners: heights are measured in a widening frame.
         taper = np.sqrt(np.maximum(1 - 0.92 * (q[0] / w) ** 2, 0.06))
-        bow = 0.22 * up * np.exp(-((q[0] / 3.2) ** 2)) - 0.16 * up * np.exp(-(((q[0] - 6.5) / 4) ** 2))
+        bow = 0.22 * up * np.exp(-((q[0] / 3.2) ** 2)) - 0.16 * up * np.exp(
+            -(((q[0] - 6.5) / 4) ** 2)
+        )
         t = np.stack([q[0], (q[1] + np.where(q[1] > 0, bow, 0)) / taper, q[2]])
         upper = ellipsoid(t, (0, up * 0.48, 0.6), (w * 1.02, up * 0.62, 5.6)) * taper
         lower = ellipsoid(t, (0, -low * 0.50, 0.2), (w * 0.97, low * 0.60, 6.4)) * taper
@@ -215,4 +220,4 @@ def wrinkles(p: Array) -> Array:
     forehead = np.exp(-((x / 36) ** 2) - ((y - 47) / 13) ** 2) * (z > 40)
     fan = np.exp(4 * (np.cos((y - 2) / np.maximum(np.abs(x) - 38, 4) * 14) - 1))
     temple = np.exp(-(((np.abs(x) - 53) / 6) ** 2) - (y / 9) ** 2) * (z > 30)
-    return 0.75 * lines * forehead + 0.5 * fan * temple
+    return 0.5 * lines * forehead + 0.5 * fan * temple

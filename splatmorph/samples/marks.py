@@ -17,11 +17,12 @@ from splatmorph.samples.clothes import Garment
 from splatmorph.samples.ear import ear_frame, outline
 from splatmorph.samples.eyes import IRIS, brow_curve
 from splatmorph.samples.head import EYEBALL, LID, Head
-from splatmorph.samples.implicit import Array, Field, column, length, project, trace
+from splatmorph.samples.implicit import Array, Field, column, project, trace
 from splatmorph.samples.people import Person
 from splatmorph.samples.splats import METRES
 
 FRONT = (0.0, 0.0, -1.0)
+AROUND = (("front", 0), ("front_side", 40), ("side", 75), ("shoulder", 105), ("back_side", 145))
 SIDES = {"left": 1.0, "right": -1.0}
 
 
@@ -108,8 +109,8 @@ def mark_eyes(head: Head, marks: Marks) -> None:
     }.items():
         marks.both(name, seen_from(head, (a.eye_x + x, y, 160), FRONT))
     for name, t in (("inner", 0.02), ("arch", 0.55), ("middle", 0.3), ("outer", 0.97)):
-        x, y = (float(v) for v in brow_curve(head, np.float32(t)))
-        marks.both(f"brow_{name}", seen_from(head, (x, y, 160), FRONT))
+        along, up = brow_curve(head, np.array(t, np.float32))
+        marks.both(f"brow_{name}", seen_from(head, (float(along), float(up), 160), FRONT))
 
 
 def mark_nose_and_face(head: Head, marks: Marks) -> None:
@@ -131,10 +132,19 @@ def mark_nose_and_face(head: Head, marks: Marks) -> None:
         "cheek_fold": (a.nostril_x + 15, (y + a.mouth_y) / 2),
         "forehead": (0, 42),
         "forehead_side": (30, 40),
+        "forehead_inner": (16, 32),
+        "forehead_top": (0, 58),
+        "forehead_top_side": (24, 56),
+        "cheek_high": (30, a.cheekbone[1] - 8),
+        "cheek_low": (38, a.mouth_y - 4),
+        "cheek_front": (20, a.cheekbone[1] - 3),
+        "chin_edge": (16, (a.mouth_y + a.chin[1]) / 2),
     }.items():
         marks.place(name, seen_from(head, (*point, 180), FRONT))
     marks.add("nose_base", seen_from(head, (0, y - 9.5, 160), (0, 0.25, -1)))
     marks.both("temple", round_axis(head, 58, 24))
+    marks.both("temple_back", round_axis(head, 76, 12))
+    marks.both("cheek_side", round_axis(head, 66, -48))
     marks.both("cheekbone_outer", round_axis(head, 62, a.cheekbone[1] + 4))
 
 
@@ -164,7 +174,7 @@ def mark_mouth(head: Head, marks: Marks) -> None:
 
 def mark_jaw(head: Head, marks: Marks) -> None:
     a = head.person
-    x, y, z = a.chin
+    _, y, z = a.chin
     marks.add("chin", seen_from(head, (0, y + 2, 180), FRONT))
     marks.both("chin_side", seen_from(head, (a.chin_radii[0] + 4, y + 5, 180), FRONT))
     marks.add("chin_bottom", seen_from(head, (0, y - 60, z - 4), (0, 1, 0)))
@@ -205,18 +215,26 @@ def mark_hair(head: Head, marks: Marks) -> None:
         p = round_axis(head, azimuth, y)
         marks.place(f"hairline_{name}", p * column((float(azimuth != 180), 1, 1)))
 
-    scalp, thick = hair.scalp(head), 4.0
+    bald = hair.scalp(head)
+    tall = hair.swept_height if a.bun else hair.cropped_height
 
     def outer(p: Array) -> Array:
-        return scalp(p) - thick
+        return bald(p) - 0.8 * tall(head, p)
 
     for name, out in {
         "front": (0, 1.0, 0.75),
         "crown": (0, 1, 0.1),
-        "crown_side": (0.75, 1, 0.1),
-        "front_side": (0.6, 1, 0.6),
+        "crown_front": (0, 1, 0.42),
+        "crown_side": (0.45, 1, 0.1),
+        "crown_flank": (0.9, 1, 0.0),
+        "front_side": (0.35, 1, 0.6),
+        "front_flank": (0.75, 1, 0.5),
         "side": (1, 0.45, -0.15),
-        "side_back": (0.8, 0.3, -0.9),
+        "side_front": (1, 0.5, 0.3),
+        "side_back": (1, 0.3, -0.6),
+        "back_side": (0.6, 0.35, -1),
+        "back_top": (0, 0.7, -1),
+        "back_flank": (0.7, 0.9, -0.8),
         "back": (0, 0.25, -1),
         "back_low": (0, -0.25, -1),
         "back_low_side": (0.7, -0.2, -0.9),
@@ -236,13 +254,15 @@ def mark_whorl(head: Head, outer: Field, marks: Marks) -> None:
     whorl = seen_from(outer, tuple((center + 60 * axis)[:, 0]), tuple(-axis[:, 0]))
     tall = head.person.bun
     belly = 0.96 * np.array(hair.BUN_RADII)
-    marks.add("whorl_top", top if tall else whorl + 1.0 * axis)
-    reach, rise = (float(belly[0]), center) if tall else (11.0, whorl)
-    marks.both("whorl_belly", rise + reach * right if tall else project(outer, rise + reach * right))
+    marks.add("whorl_top", top if tall else whorl + 4.0 * axis)
+    reach, rise = (float(belly[0]), center) if tall else (16.0, whorl)
+    marks.both(
+        "whorl_belly", rise + reach * right if tall else project(outer, rise + reach * right)
+    )
     for name, sign in (("front", 1.0), ("back", -1.0)):
         p = rise + sign * reach * ahead * (0.92 if tall else 1.0)
         marks.add(f"whorl_belly_{name}", p if tall else project(outer, p))
-    foot = 27.0 if tall else 20.0
+    foot = 29.0 if tall else 25.0
     marks.both("whorl_foot", project(outer, whorl + foot * right, steps=5))
     marks.add("whorl_foot_front", project(outer, whorl + foot * ahead, steps=5))
     marks.add("whorl_foot_back", project(outer, whorl - foot * ahead, steps=5))
@@ -251,17 +271,19 @@ def mark_whorl(head: Head, outer: Field, marks: Marks) -> None:
 def mark_neck(head: Head, marks: Marks) -> None:
     a = head.person
     garment = Garment(head)
-    for name, azimuth in (("front", 0), ("front_side", 45), ("side", 90), ("back_side", 140)):
+    for name, azimuth in AROUND:
         marks.place(f"neck_{name}", round_axis(head, azimuth, -126))
     marks.add("neck_back", round_axis(head, 180, -126) * column((0, 1, 1)))
-    for name, azimuth in (("front", 0), ("front_side", 45), ("side", 90), ("back_side", 140)):
-        y = a.collar_y - 4 + (2 * a.collar_lift if azimuth > 90 else 0)
-        marks.place(f"collar_{name}", round_axis(garment, azimuth, y))
-    y = a.collar_y - 4 + 2 * a.collar_lift
-    marks.add("collar_back", round_axis(garment, 180, y) * column((0, 1, 1)))
-    for name, azimuth in (("front", 0), ("front_side", 50), ("side", 90), ("back_side", 130)):
-        marks.place(f"hem_{name}", round_axis(garment, azimuth, -198))
-    marks.add("hem_back", round_axis(garment, 180, -198) * column((0, 1, 1)))
-
-
-__all__ = ["Marks", "landmarks", "length"]
+    rows = {
+        "collar": a.collar_y - 4,
+        "collar_fold": a.collar_y - 15,
+        "chest": (a.collar_y - 15 - 199) / 2,
+        "hem": -199,
+    }
+    for row, y in rows.items():
+        for name, azimuth in AROUND:
+            back = 2 * a.collar_lift if azimuth > 90 and row.startswith("collar") else 0
+            marks.place(f"{row}_{name}", round_axis(garment, azimuth, y + back))
+        back = 2 * a.collar_lift if row.startswith("collar") else 0
+        marks.add(f"{row}_back", round_axis(garment, 180, y + back) * column((0, 1, 1)))
+    marks.add("base", seen_from(garment, (0, -260, -20), (0, 1, 0)))

@@ -18,8 +18,8 @@ KEY = unit(-0.55, 0.62, 0.75)
 RIM = unit(0.85, 0.35, -0.55)
 KEY_COLOR = column((1.90, 1.78, 1.62))
 RIM_COLOR = column((0.55, 0.62, 0.75))
-SKY = column((0.52, 0.57, 0.66))
-GROUND = column((0.36, 0.29, 0.26))
+SKY = column((0.58, 0.59, 0.63))
+GROUND = column((0.46, 0.35, 0.29))
 WRAP = column((0.42, 0.24, 0.18))
 """How far the key light creeps round the terminator: red light travels furthest in skin."""
 
@@ -77,6 +77,16 @@ def key_share(grid: Grid, p: Array, n: Array) -> Array:
     return clear
 
 
+def strand_highlight(strokes: Strokes) -> Array:
+    """The band of light across combed hair, seen from the front (Kajiya and Kay, 1989)."""
+    half = KEY + unit(0, 0, 1)
+    half /= np.linalg.norm(half)
+    band = (1 - (strokes.along * half).sum(0) ** 2) ** 18
+    strand = smoothstep(2.0, 3.5, strokes.sizes[0] / strokes.sizes[1])
+    facing = np.clip((strokes.normals * half).sum(0), 0, 1)
+    return 0.9 * strand * strokes.gloss * band * facing
+
+
 def shade(strokes: Strokes, grid: Grid, folds: Array) -> tuple[Array, Array]:
     """Base colour (3, n) and its slope with the view direction (3, 3, n), both sRGB.
 
@@ -90,8 +100,9 @@ def shade(strokes: Strokes, grid: Grid, folds: Array) -> tuple[Array, Array]:
     up = 0.5 + 0.5 * n[1]
     ambient = GROUND + (SKY - GROUND) * up
     rim = np.clip((n * RIM).sum(0), 0, 1) ** 1.5
-    light = ambient * open_sky + KEY_COLOR * key * (0.12 + 0.88 * lit)
+    light = ambient * open_sky + KEY_COLOR * key * (0.14 + 0.86 * lit)
     light = light + RIM_COLOR * rim * open_sky
+    light = light + KEY_COLOR * strand_highlight(strokes) * lit
     # Light that bounces between the walls of a fold takes the fold's colour.
     albedo = linear(strokes.colors)
     bounce = albedo ** (0.35 * (1 - folds))

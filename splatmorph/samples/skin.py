@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from splatmorph.samples.ear import ear
 from splatmorph.samples.head import EYEBALL, Head
 from splatmorph.samples.implicit import Array, column, length, mirrored, smoothstep
 
@@ -42,11 +43,14 @@ def beard(head: Head, p: Array) -> Array:
     m = mirrored(p)
     azimuth = np.degrees(np.arctan2(m[0], p[2] + 10))
     top = np.interp(azimuth, (0, 24, 40, 62, 78), (a.mouth_y + 4, a.mouth_y + 4, -66, -52, -24))
-    low = smoothstep(-122, -112, p[1]) * smoothstep(-2, 8, p[2])
+    under = 2.5 * np.maximum(-108 - p[1], 0)
+    low = smoothstep(-136, -126, p[1]) * smoothstep(-2, 8, p[2] - under)
     jaw = smoothstep(6, -4, p[1] - top.astype(np.float32)) * low * smoothstep(84, 76, azimuth)
     q = head.mouth_frame(m)
-    moustache = smoothstep(a.mouth_half_width + 10, a.mouth_half_width + 3, m[0])
-    moustache = moustache * smoothstep(16, 12, q[1]) * smoothstep(-16, -8, q[2]) * smoothstep(-8, 2, q[1])
+    moustache = smoothstep(-1, 6, a.mouth_half_width + 9 - m[0] - 0.9 * np.maximum(q[1], 0))
+    moustache = (
+        moustache * smoothstep(16, 12, q[1]) * smoothstep(-16, -8, q[2]) * smoothstep(-8, 2, q[1])
+    )
     lips = np.minimum(*head.lips(m))
     return np.maximum(jaw, moustache) * smoothstep(0.3, 1.5, lips)
 
@@ -55,9 +59,9 @@ def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
     """Albedo (3, n) sRGB and gloss (n,) of the skin."""
     a = head.person
     m = mirrored(p)
-    tone = column(a.skin) * np.ones_like(p)
+    tone: Array = column(a.skin) * np.ones_like(p)
     y, z = a.nose_tip[1:]
-    blush = 0.50 * spot(m, (a.cheekbone[0] - 2, a.cheekbone[1] - 6, 70), (20, 16, 30))
+    blush = 0.36 * spot(m, (a.cheekbone[0] - 2, a.cheekbone[1] - 6, 70), (20, 16, 30))
     blush += 0.50 * spot(m, (0, y, z - 4), (15, 11, 16))
     blush += 0.20 * spot(m, a.chin, (16, 12, 20))
     blush += 0.45 * spot(m, (a.ear_x + 3, -14, -8), (12, 40, 26))
@@ -80,13 +84,17 @@ def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
     lash_line = smoothstep(-1, 2, q[1] - a.eye_tilt * q[0])
     edge = rim * smoothstep(-0.95, -0.6, q[0] / a.eye_half_width)
     tone = mix(tone, tuple(0.5 * c for c in a.brow), edge * (0.22 + 0.68 * lash_line))
+    nostril = spot(m, (a.nostril_x * 0.55, y - 9, z - 14), (3.2, 3.2, 5))
+    tone = mix(tone, (0.22, 0.08, 0.06), 0.8 * nostril)
     caruncle = spot(q, (-a.eye_half_width + 0.5, -0.5, 7), (2.6, 2.2, 5))
     tone = mix(tone, (0.78, 0.42, 0.40), caruncle * (gap < 0.3))
     if a.beard:
-        tone = mix(tone, tuple(0.9 * c for c in a.hair), 0.75 * beard(head, p))
-    scalp = smoothstep(-4, 9, hairline(head, p) + 2.0 * noise(p, 9, a.seed + 2))
+        tone = mix(tone, tuple(1.1 * c for c in a.hair), 0.8 * beard(head, p))
+    scalp = smoothstep(-4, 9, hairline(head, p) + 1.2 * noise(p, 9, a.seed + 2))
     scalp *= 1 - in_ear(head, p)
-    tone = mix(tone, tuple((0.62 if a.bun else 0.9) * c for c in a.hair), scalp * (0.95 if a.bun else 0.75))
+    tone = mix(
+        tone, tuple((0.62 if a.bun else 1.1) * c for c in a.hair), scalp * (0.95 if a.bun else 0.75)
+    )
     tone = tone * (1 + 0.018 * noise(p, 7, a.seed + 3) + 0.012 * noise(p, 3.2, a.seed + 4))
     gloss = 0.40 + 0.25 * spot(m, (0, y + 8, z - 6), (16, 24, 20)) + 0.55 * lips
     gloss += 0.15 * spot(p, (0, 50, 86), (45, 30, 40))
@@ -95,7 +103,5 @@ def skin_colors(head: Head, p: Array) -> tuple[Array, Array]:
 
 def in_ear(head: Head, p: Array) -> Array:
     """(n,) 1 on the ears."""
-    from splatmorph.samples.ear import ear
-
     body, _ = ear(head.person, mirrored(p))
     return smoothstep(4, 1, body)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -43,17 +43,19 @@ class Strokes:
     def select(self, index: NDArray[np.bool_] | NDArray[np.intp]) -> Strokes:
         return Strokes(**{name: value[..., index] for name, value in vars(self).items()})
 
-    def with_colors(self, colors: Array) -> Strokes:
-        return replace(self, colors=colors)
-
     @staticmethod
     def concatenate(parts: Sequence[Strokes]) -> Strokes:
         return Strokes(
-            **{name: np.concatenate([getattr(s, name) for s in parts], -1) for name in vars(parts[0])}
+            **{
+                name: np.concatenate([getattr(s, name) for s in parts], -1)
+                for name in vars(parts[0])
+            }
         )
 
 
-def flat(points: Array, normals: Array, size: Array, colors: Array, gloss: float | Array) -> Strokes:
+def flat(
+    points: Array, normals: Array, size: Array, colors: Array, gloss: float | Array
+) -> Strokes:
     """Round flakes lying on a surface."""
     n = points.shape[1]
     sizes = np.stack([size, size, 0.11 * size])

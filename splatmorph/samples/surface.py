@@ -8,7 +8,7 @@ import numpy as np
 from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
-from splatmorph.samples.implicit import Array, Field, column, length, normals, project
+from splatmorph.samples.implicit import Array, Field, column, project
 
 HEXAGON = 0.866
 """Area of a point's cell over its squared spacing, in a hexagonal packing."""
@@ -27,7 +27,9 @@ class Grid:
 
     @staticmethod
     def of(field: Field, low: tuple[float, ...], high: tuple[float, ...], cell: float) -> Grid:
-        axes = [np.arange(a, b + cell, cell, dtype=np.float32) for a, b in zip(low, high, strict=True)]
+        axes = [
+            np.arange(a, b + cell, cell, dtype=np.float32) for a, b in zip(low, high, strict=True)
+        ]
         points = np.stack(np.meshgrid(*axes, indexing="ij")).astype(np.float32)
         values = field(points.reshape(3, -1)).reshape(points.shape[1:])
         return Grid(values, column(low), cell)
@@ -43,7 +45,7 @@ class Grid:
 
 
 def scatter(
-    field: Field, grid: Grid, spacing: Field, rng: np.random.Generator, *, relaxations: int = 6
+    field: Field, grid: Grid, spacing: Field, rng: np.random.Generator, *, relaxations: int = 8
 ) -> Array:
     """(3, n) points on the zero set of ``field``, about ``spacing(p)`` mm from their neighbours."""
     cells = grid.cells_near_zero()
@@ -70,6 +72,3 @@ def local_spacing(p: Array, neighbours: int = 6) -> Array:
     """(n,) distance to the ring of nearest neighbours, mm: between their mean and the farthest."""
     gap, _ = cKDTree(p.T).query(p.T, k=neighbours + 1, workers=-1)
     return (0.5 * (gap[:, 1:].mean(1) + gap[:, -1])).astype(np.float32)
-
-
-__all__ = ["Grid", "length", "local_spacing", "normals", "repel", "scatter"]
