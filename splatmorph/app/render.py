@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from renderer import Camera, read_transforms, write_image, write_video
+from renderer import Camera, orbit, read_transforms, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
     AS_THEY_ARE,
@@ -35,6 +35,7 @@ from splatmorph.run import average_of, load_inputs, morph_of, open_run
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
 WITH_ALPHA = ("", ".png", ".webp")
 FULL_CIRCLE = 360.0
+SHEET_COLUMNS = 5
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,14 @@ def render(
         Path | None,
         Parameter(help="A FLAME track (flame_param.npz, or an avatar) that moves both avatars."),
     ] = None,
+    sheet: Annotated[
+        bool,
+        Parameter(negative="", help="One picture of all: t across, five by default; views down."),
+    ] = False,
+    parts: Annotated[
+        bool,
+        Parameter(negative="", help="In the sheet, show the two halves of the morph singly too."),
+    ] = False,
     device: Device = "cpu",
     overwrite: Overwrite = False,
 ) -> None:
@@ -71,12 +80,17 @@ def render(
     --t 0.5 holds one t; --t 0:1 goes one way. The output's extension chooses: .mp4, .gif, a .png
     for one picture (from the front unless --azimuth says otherwise), or a folder of PNG frames.
     """
-    path = console.claim(out or Path(f"{what.resolve().stem}.mp4"), overwrite)
+    ending = "-sheet.png" if sheet else ".mp4"
+    path = console.claim(out or Path(f"{what.resolve().stem}{ending}"), overwrite)
     kind = path.suffix.lower()
     if frames < 1 or fps <= 0:
         raise OptionError(f"{frames} frames at {fps} a second: expected at least 1, above 0")
     if background is None and kind not in WITH_ALPHA:
         raise OptionError(f"{path.name} can't be transparent: write a .png or a folder of frames")
+    if sheet:
+        picture = _sheet(what, t, view, blending.chosen(), background, parts, choose_device(device))
+        console.say(f"wrote {write_image(path, picture)}")
+        return
     count = 1 if kind in STILLS else frames
     shot = _shot(what, t, count, blending.chosen(), drive)
     cameras = _cameras(view, shot, count)
@@ -116,6 +130,45 @@ def _shot(
         raise OptionError(f"--drive moves rigged avatars, but {what} is a run of other splats")
     driven = Drive(avatars[0], avatars[1], run.legs[0].flow, track_of(drive), **blending)
     return Shot(driven.sequence(times), extent, SWING)
+
+
+def _sheet(
+    what: Path,
+    t: Times | None,
+    view: Viewpoint,
+    blending: dict[str, str],
+    background: Sequence[float] | None,
+    parts: bool,
+    device: str,
+) -> Any:
+    from splatmorph.view.sheet import contact_sheet
+
+    run = open_run(what)
+    inputs = load_inputs(run)
+    last = len(inputs) - 1
+    if t is None or t.stretch:
+        start, end = t.values if t else (0.0, float(last))
+        times = [start + (end - start) * i / (SHEET_COLUMNS - 1) for i in range(SHEET_COLUMNS)]
+    else:
+        times = list(t.values)
+    degrees = SWING if view.orbit is None else view.orbit
+    width, height = view.size
+    cameras = orbit(
+        bounds(*(one.gaussians for one in inputs)),
+        [view.azimuth - degrees, view.azimuth, view.azimuth + degrees],
+        elevation=view.elevation,
+        up=view.up,
+        width=width,
+        height=height,
+    )
+    return contact_sheet(
+        morph_of(run, inputs, **blending),
+        times,
+        cameras,
+        background=background or (1.0, 1.0, 1.0),
+        parts=parts,
+        device=device,
+    )
 
 
 def _cameras(view: Viewpoint, shot: Shot, count: int) -> Sequence[Camera]:
