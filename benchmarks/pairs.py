@@ -42,10 +42,14 @@ def nersemble(data: Path) -> Pair:
 
 
 def frll(data: Path) -> Pair:
-    """The 130 hand-placed landmarks on FRLL faces 001 and 002, pixels."""
+    """The hand-placed landmarks on FRLL faces 001 and 002, pixels; the last of two that share a
+    point on one side only is left out, since no flow can follow both."""
     stored = json.loads((data / "faces2d" / "flowing_manual_landmarks_001_002.json").read_text())
     sides = [np.asarray(stored[side])[:, ::-1] for side in ("points_0", "points_1")]
-    return Pair("FRLL 001-002", *(Landmarks(torch.tensor((s + 1) / 2 * 1350)) for s in sides))
+    first = [np.unique(side, axis=0, return_index=True)[1] for side in sides]
+    kept = np.intersect1d(*first)
+    marks = (Landmarks(torch.tensor((side[kept] + 1) / 2 * 1350)) for side in sides)
+    return Pair("FRLL 001-002", *marks)
 
 
 def head(data: Path, a: str, b: str) -> Pair:

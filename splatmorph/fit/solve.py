@@ -30,7 +30,7 @@ def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) ->
 
 
 def affine_velocity(p: Tensor, q: Tensor) -> Tensor:
-    """The affine map that comes closest to q - p at the midpoints: (1 + dim, dim), constant first."""
+    """The affine map closest to q - p at the midpoints, (1 + dim, dim), its constant first."""
     middle = (p + q) / 2
     design = torch.cat([torch.ones_like(middle[:, :1]), middle], dim=1)
     return torch.linalg.pinv(design) @ (q - p)
