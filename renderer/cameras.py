@@ -254,9 +254,10 @@ def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> 
             [0, 0, 1],
         ]
     )
-    camera_to_world = np.eye(4)
+    camera_to_world: Array = np.eye(4)
     camera_to_world[: len(matrix)] = matrix
     # OpenGL's y and z axes are OpenCV's, turned round.
     camera_to_world[:3, 1:3] *= -1
-    camera = Camera(np.linalg.inv(camera_to_world), K, width, height)
+    viewmat = np.asarray(np.linalg.inv(camera_to_world), np.float64)
+    camera = Camera(viewmat, K, width, height)
     return camera if size is None else camera.resized(*size)

@@ -26,6 +26,9 @@ Array = NDArray[Any]
 SPLAT_FLOATS = 16
 TILE_FLOATS = 5 * kernel.COLUMN * kernel.ROWS
 STATE_WORDS = 64
+TICKS_AT = 7
+"""The word of the state where the time of each stage is counted; see ``memory.h``."""
+STAGES = ("project", "count digits", "sort", "list and colour", "fill", "blend")
 LIST_ENTRIES = 1 << 22
 """Entries of the tile lists at a time, 16 bytes each with their sorted copy."""
 
@@ -88,6 +91,12 @@ def _aligned(size: int, dtype: Any) -> wp.array:
 
 
 _memory = _Memory()
+
+
+def stage_shares() -> dict[str, float]:
+    """The share of each stage in the processor time of the last frame."""
+    ticks = _memory.arrays["state"].numpy()[TICKS_AT : TICKS_AT + len(STAGES)].astype(float)
+    return dict(zip(STAGES, ticks / max(ticks.sum(), 1), strict=True))
 
 
 @functools.cache
