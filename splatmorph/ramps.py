@@ -87,15 +87,20 @@ def _best_gaussians(weight: float) -> Tensor:
     and the variance 1/k. Those of f(G) = 1 - (1 - αG)^w are integrals over G in (0, 1) with
     dx = -dG/G, by Gauss-Legendre in s with 1 - G = (1 - s²)², which smooths both ends.
     """
-    nodes, weights = (torch.from_numpy(array) for array in np.polynomial.legendre.leggauss(24))
-    s = 0.5 * (nodes + 1)
-    profile = 1 - (1 - s**2) ** 2
-    step = 2 * weights * s * (1 - s**2) / profile
+    profile, step = _quadrature()
     alpha = torch.linspace(0, DENSEST, STEPS + 1, dtype=torch.float64).clamp_min(1e-6)
     faded = -torch.expm1(weight * torch.log1p(-alpha[:, None] * profile))
     integral = (faded * step).sum(1)
     variance = (faded * step * -profile.log()).sum(1) / integral
     return torch.stack([integral / variance / alpha, 1 / variance])
+
+
+@lru_cache
+def _quadrature() -> tuple[Tensor, Tensor]:
+    nodes, weights = (torch.from_numpy(array) for array in np.polynomial.legendre.leggauss(24))
+    s = 0.5 * (nodes + 1)
+    profile = 1 - (1 - s**2) ** 2
+    return profile, 2 * weights * s * (1 - s**2) / profile
 
 
 def _interpolated(table: Tensor, alpha: Tensor) -> Tensor:

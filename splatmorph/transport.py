@@ -72,13 +72,13 @@ def move_shapes(
         ends = slice(left, left + 2)
         shape = _cubic(shapes[sign][ends], slopes[sign][ends], place - left)
         quats, pushed, turns = shape.split(CHANNELS, dim=-1)
-        return replace(
-            gaussians,
-            means=path[k],
-            quats=quats,
-            log_scales=pushed if stretch else gaussians.log_scales,
-            sh=rotate_sh(gaussians.sh, rotation_matrices(turns.T).permute(2, 0, 1)),
-        )
+        moved = replace(gaussians, means=path[k], quats=quats)
+        if stretch:
+            moved = replace(moved, log_scales=pushed)
+        if gaussians.sh_degree:
+            rotations = rotation_matrices(turns.T).permute(2, 0, 1)
+            moved = replace(moved, sh=rotate_sh(gaussians.sh, rotations))
+        return moved
 
     return frame
 
