@@ -81,12 +81,12 @@ def streamlines(
         write_image(path, drawing.picture(subjects, lines, view))
     else:
         views = turntable(around, frames, azimuth=0, elevation=elevation, up=up, size=size)
-        with console.progress("drawing", frames) as update:
+        with console.progress("drawing") as update:
 
             def pictures() -> Iterator[Any]:
                 for i, one in enumerate(views):
                     yield drawing.picture(subjects, lines, one)
-                    update(i + 1, "")
+                    update(i + 1, frames)
 
             path = write_video(path, pictures(), frames / 4)
     console.say(f"wrote {path}")
@@ -111,6 +111,8 @@ def _refitted(subject: Subject, kind: str) -> Subject:
             Landmarks(subject.source_points, names),
             Landmarks(subject.target_points, names),
             domain=subject.morph.source.means,
-            on_step=lambda progress: update(progress.step, f"error {progress.mse:.2e}"),
+            on_step=lambda progress: update(
+                progress.step, progress.steps, f"error {progress.mse:.2e}"
+            ),
         )
     return replace(subject, morph=Morph(subject.morph.source, subject.morph.target, flow))

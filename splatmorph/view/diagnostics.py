@@ -26,8 +26,9 @@ SAMPLE = 8000
 CELLS = 24
 POINTS = 97
 """Points along a grid line, so that it bends smoothly."""
-PLANES = (("front", 0, 1, 2), ("side", 2, 1, 0), ("above", 0, 2, 1))
-"""Name, the axes across and up, and the axis that is cut."""
+PLANES = ((0, 1), (2, 1), (0, 2))
+"""The axes across and up."""
+AXES = "xyz"
 FORMATS = (".png", ".svg", ".pdf")
 
 
@@ -87,12 +88,12 @@ def draw_diagnostics(
     figure.suptitle(
         _plain(f"{subject.title}   ({subject.morph.flow.kind})"), color=INK, fontsize=15
     )
-    above, below = figure.subfigures(2, 1, height_ratios=(1, 1.15))
-    panels = above.subplots(1, 3, width_ratios=(1, 1.5, 1))
+    rows: Any = figure.subfigures(2, 1, height_ratios=(1, 1.15))
+    panels = rows[0].subplots(1, 3, width_ratios=(1, 1.5, 1))
     _history(panels[0], history)
     _errors(panels[1], errors)
     _determinants(panels[2], determinants(subject))
-    for panel, plane in zip(below.subplots(1, 3), PLANES, strict=True):
+    for panel, plane in zip(rows[1].subplots(1, 3), PLANES, strict=True):
         _grid(panel, subject, plane)
     with atomic_write(path) as partial:
         figure.savefig(partial, dpi=110)
@@ -173,10 +174,11 @@ def _determinants(panel: Any, found: Array) -> None:
 
 
 @torch.no_grad()
-def _grid(panel: Any, subject: Subject, plane: tuple[str, int, int, int]) -> None:
+def _grid(panel: Any, subject: Subject, plane: tuple[int, int]) -> None:
     """A plane through the middle of the object, carried to t = 1 and seen straight on."""
-    name, across, up, cut = plane
-    _dress(panel, f"The {name} plane, warped to t = 1", "xyz"[across], "xyz"[up])
+    across, up = plane
+    title = f"The {AXES[across]}{AXES[up]} plane, warped to t = 1"
+    _dress(panel, title, AXES[across], AXES[up])
     bounds = subject.bounds()
     half = 0.9 * bounds.radius
     line = torch.linspace(-half, half, POINTS, dtype=torch.float64)

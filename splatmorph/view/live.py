@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from renderer import Camera, orbit
-from splatmorph.covariance import quat_to_matrix
+from splatmorph.covariance import rotation_matrices
 from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
@@ -166,7 +166,7 @@ class Viewer:
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)
         kept = self.shown.select(thin(self.shown, self.max_splats))
-        axes = quat_to_matrix(kept.quats.double().T) * kept.scales.double().T[None]
+        axes = rotation_matrices(kept.quats.double().T) * kept.scales.double().T[None]
         self._splats = self.server.scene.add_gaussian_splats(
             "/morph",
             centers=kept.means.float().numpy(force=True),
@@ -219,7 +219,7 @@ class Viewer:
 
 def camera_of(eye: Any) -> Camera:
     """The camera of a visitor: viser's camera → world rotation wxyz and position, fov upright."""
-    rotation = quat_to_matrix(torch.as_tensor(eye.wxyz, dtype=torch.float64)[:, None])[..., 0]
+    rotation = rotation_matrices(torch.as_tensor(eye.wxyz, dtype=torch.float64)[:, None])[..., 0]
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.numpy().T
     viewmat[:3, 3] = -viewmat[:3, :3] @ np.asarray(eye.position)

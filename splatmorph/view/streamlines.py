@@ -171,13 +171,9 @@ def _backdrop(
     subject: Subject, lines: Streamlines, view: Camera
 ) -> tuple[Array, NDArray[np.bool_]]:
     """A pale picture of the source, and which of the lines begin in front of it."""
+    arrays: tuple[Any, ...] = renderer_arrays(subject.morph.source)
     rgb, alpha, depth = rasterize(
-        *renderer_arrays(subject.morph.source),
-        view.viewmat,
-        view.K,
-        view.width,
-        view.height,
-        background=(1, 1, 1),
+        *arrays, view.viewmat, view.K, view.width, view.height, background=(1, 1, 1)
     )
     starts = lines.paths[:, 0] @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
     pixels = starts[:, :2] / starts[:, 2:] * view.K[0, 0] + view.K[:2, 2]
@@ -202,7 +198,7 @@ def _scene(
     import pyvista
 
     columns = len(subjects)
-    plotter = pyvista.Plotter(
+    plotter: Any = pyvista.Plotter(
         off_screen=not window,
         shape=(1, columns),
         border=False,

@@ -62,9 +62,11 @@ def open_subject(
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     inputs, leg = load_inputs(run), run.legs[0]
     morph = morph_of(run, inputs, ramp=ramp, covariance=covariance)
+    source, target = inputs
     subject = Subject(
         morph,
-        *(one.name for one in inputs),
+        source.name,
+        target.name,
         leg.source_points,
         leg.target_points,
         leg.names,

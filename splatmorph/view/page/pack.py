@@ -55,7 +55,7 @@ def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Pac
     right, down, forward = camera.viewmat[:3, :3]
 
     motion = _Motion(subject, (source, target), TOLERANCE * pixel)
-    moves, move_scale = _rounded(motion.moves(), 32767, np.int16)
+    moves, move_scale = _rounded(motion.moves())
     deforms, deform_scale = _rounded_shapes(motion.deforms())
     still, ranges = _at_rest(Gaussians.union(source, target))
     ends = {
@@ -191,10 +191,10 @@ def _packed_rotations(quats: Array) -> NDArray[np.uint32]:
     )
 
 
-def _rounded(values: Array, top: int, dtype: type) -> tuple[NDArray[np.generic], Array]:
-    """Values (…, 3) as integers of at most ``top``, and the (3,) steps that give them back."""
-    step = np.maximum(np.abs(values).max(axis=(0, 1), initial=0), 1e-30) / top
-    return np.rint(values / step).astype(dtype), step
+def _rounded(values: Array) -> tuple[NDArray[np.int16], Array]:
+    """Values (…, 3) in 16 bits, and the (3,) steps that give them back."""
+    step = np.maximum(np.abs(values).max(axis=(0, 1), initial=0), 1e-30) / 32767
+    return np.rint(values / step).astype(np.int16), step
 
 
 def _rounded_shapes(deforms: Array) -> tuple[NDArray[np.int8], float]:
