@@ -28,7 +28,7 @@ __all__ = ["ENERGIES", "FitConfig", "FitProgress", "FitReport", "FitState", "fit
 
 DEFAULTS = FitConfig()
 """The settings of a fit that is asked for nothing else."""
-PROBES = 256
+PROBES = 128
 """Points of the object at which a report looks."""
 INTEGRATION_SHARE = 0.1
 """The integration error may be this part of the root mean squared landmark error …"""
