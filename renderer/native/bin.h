@@ -25,8 +25,8 @@ auto rows_of = [&](const Splat& s, float left, int* first, int* last) {
     const Floats tilt_a = s.conic_xy * begin, tilt_b = s.conic_xy * end;
     Floats high = larger(a - tilt_a, b - tilt_b) * inverse;
     Floats low = smaller(-a - tilt_a, -b - tilt_b) * inverse;
-    high = (peak >= begin) & (peak <= end) ? all(s.reach_y) : high;
-    low = (-peak >= begin) & (-peak <= end) ? all(-s.reach_y) : low;
+    high = ((peak >= begin) & (peak <= end)) ? all(s.reach_y) : high;
+    low = ((-peak >= begin) & (-peak <= end)) ? all(-s.reach_y) : low;
     const Floats top = larger(ceiling(s.y + low - (0.5f + SLACK)), all((float)s.top));
     const Floats bottom = smaller(flooring(s.y + high - (0.5f - SLACK)), all((float)s.bottom));
     *(Ints*)first = __builtin_convertvector(top, Ints);
@@ -111,12 +111,18 @@ auto bin_part = [&](int part) {
     state.part_stop[part] = rank < end ? rank : -1;
 };
 
-// Where each part's entries of each tile go. If a part was cut short, the slab ends there.
+// Where each part's entries of each tile go. If a part was cut short, the slab ends there, and
+// the next ones are so long that as dense a part would fit.
 auto place_entries = [&]() {
-    int parts = PARTS;
-    for (int part = PARTS - 1; part >= 0; --part)
-        if (state.part_stop[part] >= 0) parts = part + 1;
-    if (parts < PARTS || state.part_stop[PARTS - 1] >= 0) state.slab_end = state.part_stop[parts - 1];
+    const long length = state.slab_end - state.slab_begin;
+    int parts = 0;
+    while (parts < PARTS && state.part_stop[parts++] < 0) {}
+    if (state.part_stop[parts - 1] >= 0) {
+        const int begin = state.slab_begin + (int)(length * (parts - 1) / PARTS);
+        state.slab_end = state.part_stop[parts - 1];
+        state.slab_size = PARTS * (state.slab_end - begin);
+        state.slab_size = state.slab_size < PARTS ? PARTS : state.slab_size;
+    }
     state.slab_parts = parts;
     place_counts(counts, parts, tiles, tiles, ends);
     state.entries += ends[tiles - 1];

@@ -242,3 +242,19 @@ def test_cuda_equals_the_reference():
     scene = random_scene(300, 3, 21)
     found = rasterize(**scene, **pinhole(130, 70), device="cuda:0")
     assert_same_picture(found, rasterize_reference(**scene, **pinhole(130, 70)))
+
+
+def test_kernels_compile_for_cuda(tmp_path, each_path):
+    import warp as wp
+
+    from renderer import kernels
+
+    if each_path == "native":
+        pytest.skip("the native path is for CPUs only")
+    try:
+        files = wp.compile_aot_module(kernels, arch=80, use_ptx=True, module_dir=tmp_path)
+    except RuntimeError as error:  # Warp was built without NVIDIA's compiler library
+        pytest.skip(f"no CUDA compiler here: {error}")
+    ptx = files[0].read_text()
+    for kernel in ("project", "count_tiles", "list_tiles", "find_ranges", "blend", "finish"):
+        assert f".entry {kernel}_" in ptx
