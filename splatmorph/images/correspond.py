@@ -33,7 +33,7 @@ FEWEST = 8
 RETURN = 0.5
 """Forward and backward optical flow must meet again within this many pixels."""
 
-FLAT = 1e-3
+FLAT = 1e-5
 """Where a patch's gradients are weaker than this (eigenvalue, grey in [0, 1]), flow is a guess."""
 
 
