@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -26,7 +25,7 @@ DENSEST = 0.99
 FAINTEST = 1 / 255
 """Renderers skip what is less opaque than this."""
 
-STEPS = 256
+STEPS = 128
 """Intervals of the tables of ``calibrated``."""
 
 Ramp = Callable[[Gaussians, float], Gaussians]
@@ -72,42 +71,43 @@ def calibrated(gaussians: Gaussians, weight: float) -> Gaussians:
     neither copy exceeds its α.
     """
     drawn = _drawn_opacities(gaussians)
-    factor, narrowing = _interpolated(_best_gaussians(weight), drawn)
-    other, _ = _interpolated(_best_gaussians(1 - weight), drawn)
+    factor, narrowing, other = _interpolated(_best_gaussians(weight), drawn)
     factor = torch.minimum(factor * (1 + FAINTEST / drawn), factor / other).clamp_max(1)
     faded = _scaled(gaussians, factor.log())
     return replace(faded, log_scales=faded.log_scales - 0.5 * narrowing.log()[:, None])
 
 
-@lru_cache(maxsize=16)
 def _best_gaussians(weight: float) -> Tensor:
-    """a/α and k of ``calibrated`` for α = 0 … DENSEST in equal steps: (2, STEPS + 1) float64.
+    """a/α and k of ``calibrated``, and a/α for 1 - w, for α = 0 … DENSEST: (STEPS + 1, 3) float64.
 
     Over the plane the area element is dx for G = e⁻ˣ, so the Gaussian a·G^k has the integral a/k
     and the variance 1/k. Those of f(G) = 1 - (1 - αG)^w are integrals over G in (0, 1) with
     dx = -dG/G, by Gauss-Legendre in s with 1 - G = (1 - s²)², which smooths both ends.
     """
-    profile, step = _quadrature()
-    alpha = torch.linspace(0, DENSEST, STEPS + 1, dtype=torch.float64).clamp_min(1e-6)
-    faded = -torch.expm1(weight * torch.log1p(-alpha[:, None] * profile))
-    integral = (faded * step).sum(1)
-    variance = (faded * step * -profile.log()).sum(1) / integral
-    return torch.stack([integral / variance / alpha, 1 / variance])
-
-
-@lru_cache
-def _quadrature() -> tuple[Tensor, Tensor]:
-    nodes, weights = (torch.from_numpy(array) for array in np.polynomial.legendre.leggauss(24))
+    nodes, weights = _GAUSS_LEGENDRE
     s = 0.5 * (nodes + 1)
     profile = 1 - (1 - s**2) ** 2
-    return profile, 2 * weights * s * (1 - s**2) / profile
+    step = 2 * weights * s * (1 - s**2) / profile
+    alpha = torch.linspace(0, DENSEST, STEPS + 1, dtype=torch.float64).clamp_min(1e-6)
+    both = torch.tensor([weight, 1 - weight], dtype=torch.float64)[:, None, None]
+    faded = -torch.expm1(both * torch.log1p(-alpha[:, None] * profile))
+    integral = faded @ step
+    variance = faded @ (-step * profile.log()) / integral
+    factor = integral / variance / alpha
+    return torch.stack([factor[0], 1 / variance[0], factor[1]], 1)
 
 
-def _interpolated(table: Tensor, alpha: Tensor) -> Tensor:
-    """Columns of (2, STEPS + 1) at α in [0, DENSEST]: (n,) -> (2, n)."""
+_GAUSS_LEGENDRE = tuple(map(torch.from_numpy, np.polynomial.legendre.leggauss(16)))
+
+
+def _interpolated(table: Tensor, alpha: Tensor) -> tuple[Tensor, ...]:
+    """Columns of a table over α in [0, DENSEST], (STEPS + 1, c), at α (n,): c times (n,)."""
     place = alpha * (STEPS / DENSEST)
-    left = place.floor().long().clamp_max(STEPS - 1)
-    return torch.lerp(table[:, left].to(alpha), table[:, left + 1].to(alpha), place - left)
+    left = place.int().clamp_max(STEPS - 1)
+    table = table.to(alpha)
+    rise = table.diff(dim=0)
+    values = table.index_select(0, left)
+    return torch.addcmul(values, rise.index_select(0, left), (place - left)[:, None]).unbind(1)
 
 
 def _drawn_opacities(gaussians: Gaussians) -> Tensor:

@@ -46,47 +46,46 @@ def move_shapes(
     P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. The
     shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
-    signs = [sign for sign in (1, -1) if any(sign * t > 0 for t in times)]
-    knots = {sign: _knots(max(sign * t for t in times)) for sign in signs}
-    stops = [*times, *(sign * k / KNOTS for sign in signs for k in knots[sign])]
-    path = gaussians.means.new_empty(len(times), len(gaussians), 3)
+    moved = move_centers(gaussians, flow, times)
     shapes = {
-        sign: gaussians.quats.new_empty(len(knots[sign]), len(gaussians), sum(CHANNELS))
-        for sign in signs
+        sign: _shapes_along(gaussians, flow, sign, max(sign * t for t in times), stretch)
+        for sign in (1, -1)
+        if any(sign * t > 0 for t in times)
     }
-    for start in range(0, len(gaussians), BLOCK):
-        block = slice(start, start + BLOCK)
-        moved, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
-        path[:, block] = moved[: len(times)]
-        quats, log_scales = gaussians.quats[block], gaussians.log_scales[block]
-        sides = jacobians[len(times) :].split([len(knots[sign]) for sign in signs])
-        for sign, side in zip(signs, sides, strict=True):
-            for k, shape in enumerate(_carried(quats, log_scales, side, stretch)):
-                shapes[sign][k, block] = shape
-    slopes = {sign: torch.gradient(shapes[sign], dim=0, edge_order=2)[0] for sign in signs}
 
     def frame(k: int) -> Gaussians:
-        sign = 1 if times[k] > 0 else -1
-        place = abs(times[k]) * KNOTS
-        left = min(int(place), len(knots[sign]) - 2)
-        ends = slice(left, left + 2)
-        shape = _cubic(shapes[sign][ends], slopes[sign][ends], place - left)
+        shape = _interpolated(shapes[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
         quats, pushed, turns = shape.split(CHANNELS, dim=-1)
-        moved = replace(gaussians, means=path[k], quats=quats)
+        turned = replace(moved(k), quats=quats)
         if stretch:
-            moved = replace(moved, log_scales=pushed)
+            turned = replace(turned, log_scales=pushed)
         if gaussians.sh_degree:
             rotations = rotation_matrices(turns.T).permute(2, 0, 1)
-            moved = replace(moved, sh=rotate_sh(gaussians.sh, rotations))
-        return moved
+            turned = replace(turned, sh=rotate_sh(gaussians.sh, rotations))
+        return turned
 
     return frame
 
 
-def _knots(reach: float) -> range:
-    """Knots from 0 to ``reach`` and one more, for the slope; but within one unit of t if it is."""
+def _shapes_along(
+    gaussians: Gaussians, flow: Flow, sign: int, reach: float, stretch: bool
+) -> Tensor:
+    """Shapes (knots, n, 11) from t = 0 to ``reach`` and one knot more, in one direction of time.
+
+    The knot more is for the slope there. Within one unit of t there is none beyond: baselines
+    that are no flows end there.
+    """
     last = max(2, math.ceil(reach * KNOTS) + 1)
-    return range((min(last, KNOTS) if reach <= 1 else last) + 1)
+    knots = range((min(last, KNOTS) if reach <= 1 else last) + 1)
+    shapes = gaussians.quats.new_empty(len(knots), len(gaussians), sum(CHANNELS))
+    for start in range(0, len(gaussians), BLOCK):
+        block = slice(start, start + BLOCK)
+        stops = [sign * k / KNOTS for k in knots]
+        _, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
+        quats, log_scales = gaussians.quats[block], gaussians.log_scales[block]
+        for k, shape in enumerate(_carried(quats, log_scales, jacobians, stretch)):
+            shapes[k, block] = shape
+    return shapes
 
 
 def _carried(
@@ -107,11 +106,18 @@ def _carried(
         yield torch.cat([product(turn, axes), pushed, turn], 1)
 
 
-def _cubic(ends: Tensor, slopes: Tensor, s: float) -> Tensor:
-    """The cubic with those two ends, (2, …) at s = 0 and 1, and those slopes there: (…)."""
-    rise = ends[1] - ends[0]
-    bend = (1 - s) * (slopes[0] - rise) + s * (rise - slopes[1])
-    return ends[0] + s * (rise + (1 - s) * bend)
+def _interpolated(shapes: Tensor, place: float) -> Tensor:
+    """Shapes (knots, n, c) at ``place`` in knots, on the cubics with the slopes of neighbours."""
+    left = min(int(place), len(shapes) - 2)
+    s = place - left
+    # The cubic is linear in the knots: its weights are its values for unit vectors.
+    units = torch.eye(len(shapes), dtype=torch.float64)
+    (slopes,) = torch.gradient(units, dim=0, edge_order=2)
+    rise = units[left + 1] - units[left]
+    bend = (1 - s) * (slopes[left] - rise) + s * (rise - slopes[left + 1])
+    weights = units[left] + s * (rise + (1 - s) * bend)
+    near = slice(max(left - 1, 0), left + 3)
+    return (weights[near].to(shapes) @ shapes[near].flatten(1)).unflatten(0, shapes.shape[1:])
 
 
 COVARIANCES: Mapping[str, Transport] = MappingProxyType(
@@ -122,4 +128,5 @@ COVARIANCES: Mapping[str, Transport] = MappingProxyType(
     }
 )
 """By name, what travels. Each maps splats, a flow and k times to a function of 0 … k - 1 that
-gives the splats at that time, after one integration for all of them."""
+gives the splats at that time, after one integration for all of them (and, beyond ``fixed``, one
+more for the Jacobians at the knots)."""
