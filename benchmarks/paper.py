@@ -3,7 +3,7 @@
     python benchmarks/paper.py DATA -o FOLDER [--quick]
 
 DATA is the folder of real inputs (landmarks3d/, faces2d/, heads/). ``--quick`` trains for a few
-steps only, to see that everything runs. Warping times are in benchmarks/warp.py, what happens
+steps only, to see that everything runs. Warping times are in benchmarks/warping.py, what happens
 between the landmarks in benchmarks/generalisation.py.
 """
 

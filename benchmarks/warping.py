@@ -1,6 +1,6 @@
 """What a video waits for: warping many splats through many frames.
 
-    python benchmarks/warp.py [--splats 200000] [--frames 120]
+    python benchmarks/warping.py [--splats 200000] [--frames 120]
 
 Beside the kernels runs their plain torch twin; the error is that of the dense output against
 1 000 Runge-Kutta steps a unit of t in double precision, at some of the splats. Prints Markdown;
