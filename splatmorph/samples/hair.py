@@ -160,7 +160,7 @@ def drawn_back(head: Head, skin: Array, rng: np.random.Generator) -> Strokes:
 def wound(head: Head, rng: np.random.Generator) -> Strokes:
     """The bun: strands that wind round its axis and over its top."""
     a = head.person
-    roots = rng.normal(size=(3, 420)).astype(np.float32)
+    roots: Array = rng.normal(size=(3, 420)).astype(np.float32)
     roots = roots / length(roots) * column(BUN_RADII) + column(BUN_CENTER)
     depth = rng.random(roots.shape[1], np.float32)
 

@@ -16,7 +16,9 @@ def noise(p: Array, wavelength: float, seed: int, waves: int = 14) -> Array:
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     k = (2 * np.pi / wavelength * rng.uniform(0.7, 1.4, (waves, 1)) * direction).astype(np.float32)
     phase = rng.uniform(0, 2 * np.pi, (waves, 1)).astype(np.float32)
-    return np.sin(k @ p + phase).sum(0) * np.sqrt(2 / waves)
+    return np.sin(k[:, :1] * p[0] + k[:, 1:2] * p[1] + k[:, 2:] * p[2] + phase).sum(0) * np.sqrt(
+        2 / waves
+    )
 
 
 def mix(a: Array, b: tuple[float, ...] | Array, weight: Array) -> Array:

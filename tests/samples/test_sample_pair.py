@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import cKDTree
+
 from splatmorph.gaussians import Gaussians
 from splatmorph.io import read
 from splatmorph.landmarks import Landmarks
@@ -42,9 +43,9 @@ def test_both_people_have_the_same_landmarks(pair: dict) -> None:
     assert (p - q).norm(dim=1).max() < 0.06
 
 
-@pytest.mark.parametrize("person", [INES, OTTO], ids=NAMES)
-def test_landmarks_of_the_halves_mirror_each_other(person: object) -> None:
-    marks = landmarks(person)
+@pytest.mark.parametrize("name", NAMES)
+def test_landmarks_of_the_halves_mirror_each_other(pair: dict, name: str) -> None:
+    marks = pair[name][1]
     where = dict(zip(marks.names, marks.points, strict=True))
     for name, point in where.items():
         if name.endswith("_left"):
@@ -84,7 +85,7 @@ def test_colours_stay_in_range_from_every_side(pair: dict, name: str) -> None:
     assert torch.isfinite(gaussians.sh).all()
     assert base.min() > -0.05
     assert base.max() < 1.3
-    assert swing.max() < 0.6
+    assert swing.max() < 0.7
 
 
 def test_a_splat_is_the_same_on_every_call(pair: dict) -> None:
