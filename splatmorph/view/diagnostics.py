@@ -181,15 +181,14 @@ def _grid(panel: Any, subject: Subject, plane: tuple[int, int]) -> None:
     _dress(panel, title, AXES[across], AXES[up])
     bounds = subject.bounds()
     half = 0.9 * bounds.radius
-    line = torch.linspace(-half, half, POINTS, dtype=torch.float64)
-    for index in range(CELLS + 1):
-        level = -half + 2 * half * index / CELLS
-        for along, fixed in ((across, up), (up, across)):
-            points = torch.as_tensor(bounds.center, dtype=torch.float64).repeat(POINTS, 1)
-            points[:, along] += line
-            points[:, fixed] += level
-            moved = subject.morph.flow(points, 1.0).numpy(force=True)
-            panel.plot(moved[:, across], moved[:, up], color=QUIET, lw=0.6)
+    along, levels = np.linspace(-half, half, POINTS), np.linspace(-half, half, CELLS + 1)
+    lines = np.tile(bounds.center, (2, CELLS + 1, POINTS, 1))
+    for k, (running, fixed) in enumerate(((across, up), (up, across))):
+        lines[k, ..., running] += along
+        lines[k, ..., fixed] += levels[:, None]
+    moved = subject.morph.flow(torch.from_numpy(lines.reshape(-1, 3)), 1.0).numpy(force=True)
+    for line in moved.reshape(-1, POINTS, 3):
+        panel.plot(line[:, across], line[:, up], color=QUIET, lw=0.6)
     _marks(panel, subject, across, up)
     panel.set_aspect("equal")
     panel.set_xlim(bounds.center[across] - 1.15 * half, bounds.center[across] + 1.15 * half)

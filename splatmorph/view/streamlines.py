@@ -209,15 +209,17 @@ def _scene(
         for column, (subject, traced) in enumerate(zip(subjects, lines, strict=True)):
             plotter.subplot(0, column)
             _add_lines(plotter, subject, traced, limits)
+            if column == 0:
+                _add_bar(plotter, traced.colouring, view.height)
             if clouds:
                 _add_cloud(plotter, subject)
             flow = subject.morph.flow.kind
             names = f"{subject.source_name} to {subject.target_name}, "
             plotter.add_text(
                 flow if columns > 1 else names + flow,
-                position=(0.04, 0.94),
+                position=(0.04, 0.93),
                 viewport=True,
-                font_size=13,
+                font_size=max(6, view.height // 75),
                 color=INK,
             )
         plotter.link_views()
@@ -262,24 +264,27 @@ def _add_lines(plotter: Any, subject: Subject, lines: Streamlines, limits: list[
             show_scalar_bar=False,
             smooth_shading=True,
         )
-        plotter.add_scalar_bar(
-            title=COLOURINGS[lines.colouring] + "\n",
-            color=INK,
-            n_labels=3,
-            fmt="%.2g",
-            width=0.5,
-            height=0.06,
-            position_x=0.25,
-            position_y=0.03,
-            title_font_size=18,
-            label_font_size=16,
-        )
     marks = lines.paths[lines.marked]
     for points, colour in ((marks[:, 0], SOURCE_COLOUR), (marks[:, -1], TARGET_COLOUR)):
         if len(points):
             ball = pyvista.Sphere(radius=0.0085 * radius)
             balls = pyvista.PolyData(points).glyph(geom=ball, scale=False, orient=False)
             plotter.add_mesh(balls, color=colour, smooth_shading=True)
+
+
+def _add_bar(plotter: Any, colouring: str, height: int) -> None:
+    plotter.add_scalar_bar(
+        title=COLOURINGS[colouring] + "\n",
+        color=INK,
+        n_labels=3,
+        fmt="%.2g",
+        width=0.5,
+        height=0.06,
+        position_x=0.25,
+        position_y=0.03,
+        title_font_size=max(8, height // 55),
+        label_font_size=max(8, height // 62),
+    )
 
 
 def _add_cloud(plotter: Any, subject: Subject) -> None:
