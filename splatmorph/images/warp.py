@@ -30,7 +30,7 @@ ENDS = (-1.0, 1.0)
 BLOCK = 1 << 28
 """Bytes of lattice positions held at once; a longer sequence is integrated in stretches."""
 
-BAND = 256
+BAND = 64
 """Rows warped at once: the positions of a band fit into a processor's cache."""
 
 
