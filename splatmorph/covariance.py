@@ -19,7 +19,7 @@ from torch import Tensor
 PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Two axes that a Jacobi rotation mixes, and the one it turns about."""
 
-PARALLEL = 1e-7
+PARALLEL = 1e-6
 """Cosine of two axes that counts as a right angle; below it lies the rounding of a Jacobian."""
 
 LEAST = -30.0
@@ -55,7 +55,8 @@ def polar_rotation(jacobians: Tensor) -> Tensor:
         following = 0.5 * (rotation + cofactors / determinant)
         change = (following - rotation).abs().nan_to_num(0).amax() if len(determinant) else 0
         rotation = following
-        if change < 1e-6:
+        # The error after a step is about half the square of the step.
+        if change < 1e-4:
             break
     identity = torch.eye(3).to(rotation)[:, :, None]
     return torch.where(rotation.isfinite().all(0).all(0), rotation, identity)

@@ -23,9 +23,6 @@ KNOTS = 8
 BLOCK = 1 << 13
 """Splats whose Jacobians are held at a time."""
 
-CHANNELS = (4, 3, 4)
-"""A shape at a moment: quaternion, log scales, and the rotation P as a quaternion."""
-
 Frames = Callable[[int], Gaussians]
 Transport = Callable[[Gaussians, Flow, Sequence[float]], Frames]
 
@@ -55,7 +52,7 @@ def move_shapes(
 
     def frame(k: int) -> Gaussians:
         shape = _interpolated(shapes[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
-        quats, pushed, turns = shape.split(CHANNELS, dim=-1)
+        quats, pushed, turns = shape[:, :4], shape[:, 4:7], shape[:, 7:]
         turned = replace(moved(k), quats=quats)
         if stretch:
             turned = replace(turned, log_scales=pushed)
@@ -70,30 +67,32 @@ def move_shapes(
 def _shapes_along(
     gaussians: Gaussians, flow: Flow, sign: int, reach: float, stretch: bool
 ) -> Tensor:
-    """Shapes (knots, n, 11) from t = 0 to ``reach`` and one knot more, in one direction of time.
+    """Shapes from t = 0 to ``reach`` and one knot more, in one direction of time: (knots, n, c).
 
-    The knot more is for the slope there. Within one unit of t there is none beyond: baselines
-    that are no flows end there.
+    A shape is a quaternion and log scales, and for colours that turn the rotation P as a
+    quaternion. The knot more is for the slope there; but within one unit of t none is beyond it,
+    where baselines that are no flows end.
     """
     last = max(2, math.ceil(reach * KNOTS) + 1)
-    knots = range((min(last, KNOTS) if reach <= 1 else last) + 1)
-    shapes = gaussians.quats.new_empty(len(knots), len(gaussians), sum(CHANNELS))
+    stops = [sign * k / KNOTS for k in range(1, (min(last, KNOTS) if reach <= 1 else last) + 1)]
+    channels = 11 if gaussians.sh_degree else 7
+    shapes = gaussians.quats.new_empty(1 + len(stops), len(gaussians), channels)
     for start in range(0, len(gaussians), BLOCK):
         block = slice(start, start + BLOCK)
-        stops = [sign * k / KNOTS for k in knots]
         _, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
         quats, log_scales = gaussians.quats[block], gaussians.log_scales[block]
         for k, shape in enumerate(_carried(quats, log_scales, jacobians, stretch)):
-            shapes[k, block] = shape
+            shapes[k, block] = shape[:, :channels]
     return shapes
 
 
 def _carried(
     quats: Tensor, log_scales: Tensor, jacobians: Tensor, stretch: bool
 ) -> Iterator[Tensor]:
-    """Shapes (n, 11) after each of the Jacobians (k, n, 3, 3), which lead away from t = 0."""
+    """Shapes (n, 11) at t = 0 and after the Jacobians (k, n, 3, 3), which lead away from it."""
     start, scales = quats.double(), log_scales.double()
-    axes, pushed, turn = start, scales, start.new_tensor([1.0, 0, 0, 0])
+    axes, pushed, turn = start, scales, start.new_tensor([1.0, 0, 0, 0]).expand_as(start)
+    yield torch.cat([axes, pushed, turn], 1)
     for jacobian in jacobians:
         jacobian = jacobian.double().permute(1, 2, 0).contiguous()
         rotation = polar_rotation(jacobian)
