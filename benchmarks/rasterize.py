@@ -23,6 +23,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from renderer import (
+    Bounds,
     Camera,
     bounds_of,
     kernels,
@@ -69,8 +70,8 @@ def head(n: int, seed: int = 0) -> Scene:
 
 def portrait(size: int) -> Camera:
     """A camera that the head fills to 70 %."""
-    bounds = bounds_of([[0, 0, 0]], [1], [[0.22, 0.22, 0.22]])
-    return orbit(bounds, [23], elevation=6, width=size, height=size, fov=27)[0]
+    around = Bounds(np.zeros(3), 0.68)
+    return orbit(around, [23], elevation=6, width=size, height=size, fov=27)[0]
 
 
 def measure(draw: Callable[[], object], repeats: int = 15) -> tuple[float, float]:

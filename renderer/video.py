@@ -12,6 +12,7 @@ import queue
 import re
 import shutil
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -61,7 +62,13 @@ def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None
     return path
 
 
-def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0) -> Path:
+def write_video(
+    path: str | Path,
+    frames: Iterable[ArrayLike],
+    fps: float = 30.0,
+    *,
+    on_frame: Callable[[int, float], None] | None = None,
+) -> Path:
     """Write frames to an .mp4 (.mov, .mkv, .webm), a .gif, or a folder of PNGs.
 
     frames: (height, width, 3) pictures of one size, uint8 or floats in 0 to 1, made while
@@ -69,6 +76,8 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
     ``frame_0000.png`` and on; only there may frames have a fourth channel, straight alpha.
     Videos with an odd side get their last row or column twice, since h264 halves the colours.
     Without ffmpeg at hand a video becomes a .gif of the same stem.
+
+    on_frame: called after each frame with how many are made and how many were made a second.
 
     Returns the path written to. Raises OutputError where there is no frame, sizes differ, the
     extension is unknown or the place can't be written; whatever ``frames`` raises comes
@@ -79,8 +88,9 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
         path = path.with_suffix(".gif")
     with _beside(path) as partial, _sink(partial, fps) as sink, _on_thread(sink) as send:
         shape = None
+        started = time.perf_counter()
         channels = ((3,), (4,)) if path.suffix == "" else ((3,),)
-        for frame in frames:
+        for count, frame in enumerate(frames, 1):
             pixels = to_bytes(frame)
             shape = shape or pixels.shape
             if pixels.shape != shape or shape[2:] not in channels:
@@ -89,6 +99,8 @@ def write_video(path: str | Path, frames: Iterable[ArrayLike], fps: float = 30.0
                     f"{' or '.join(str(count) for (count,) in channels)} channels"
                 )
             send(pixels)
+            if on_frame is not None:
+                on_frame(count, count / max(time.perf_counter() - started, 1e-9))
         if shape is None:
             raise OutputError(f"{path}: there are no frames to write")
     return path

@@ -72,6 +72,13 @@ def test_without_ffmpeg_a_video_is_a_gif(tmp_path, monkeypatch):
     assert write_video(tmp_path / "a.mp4", frames(2)) == tmp_path / "a.gif"
 
 
+def test_progress_counts_frames_and_speed(tmp_path):
+    seen = []
+    write_video(tmp_path / "frames", frames(4), on_frame=lambda *told: seen.append(told))
+    assert [count for count, _ in seen] == [1, 2, 3, 4]
+    assert all(speed > 0 for _, speed in seen)
+
+
 def test_floats_are_rounded_and_clipped():
     found = to_bytes(np.array([-1, 0, 0.5, 1, 2, np.nan]))
     np.testing.assert_array_equal(found, [0, 0, 128, 255, 255, 0])
