@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import torch
@@ -73,6 +74,8 @@ def solve_spline(
         gap = half_time_gap(flowing, p, q)
         mse = float(gap.square().mean())
         record(step + 1, steps, mse)
+        if not math.isfinite(mse):
+            break
         if mse < best_mse or config.smoothing:
             best, best_mse = data, mse
         # The field misses its data by λ times its weights; at the fixed point the gap makes up.

@@ -126,19 +126,16 @@ def knots(
     scalars = [len(base.centers), width, base.rounding**2, h, steps, int(every)]
     kernel = _kernel(dim, jacobian)
     parts = 1 if count < 64 else torch.get_num_threads()
-    with wp.ScopedDevice("cpu"):
-        kernel.module.load(wp.get_device("cpu"))
+    kernel.module.load(wp.get_device("cpu"))
 
-        def launch(part: int) -> None:
-            wp.launch(
-                kernel, dim=1, inputs=[*arrays, *scalars, part, parts, *outputs], device="cpu"
-            )
+    def launch(part: int) -> None:
+        wp.launch(kernel, dim=1, inputs=[*arrays, *scalars, part, parts, *outputs], device="cpu")
 
-        if parts == 1:
-            launch(0)
-        else:
-            with ThreadPoolExecutor(parts) as pool:
-                list(pool.map(launch, range(parts)))
+    if parts == 1:
+        launch(0)
+    else:
+        with ThreadPoolExecutor(parts) as pool:
+            list(pool.map(launch, range(parts)))
     return states, rates
 
 
