@@ -17,8 +17,8 @@ from splatmorph.samples.surface import Grid, local_spacing, scatter
 
 LOW, HIGH = (-150.0, -222.0, -132.0), (150.0, 150.0, 140.0)
 CELL = 6.0
-OVERLAP = 0.6
-"""A flake's standard deviation over the distance to its neighbours: no gaps, little blur."""
+OVERLAP = 0.56
+"""A flake's standard deviation over its ring's distance: no gaps, little blur."""
 
 
 def skin_spacing(head: Head) -> Field:

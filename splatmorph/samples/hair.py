@@ -31,11 +31,11 @@ BUN_AXIS = column((0.0, 0.80, -0.60))
 
 
 def scalp(head: Head) -> Field:
-    """The skull and neck that hair lies on: no ears, no face details."""
+    """The skull and neck that hair lies on: no ears, nose or mouth."""
 
     def field(p: Array) -> Array:
         m = mirrored(p)
-        return join(head.skull(m), head.neck(m), 14)
+        return join(head.with_sockets(m, head.skull(m)), head.neck(m), 14)
 
     return field
 

@@ -69,6 +69,6 @@ def repel(p: Array, spacing: Array, neighbours: int = 7) -> Array:
 
 
 def local_spacing(p: Array, neighbours: int = 6) -> Array:
-    """(n,) distance to the ring of nearest neighbours, mm: between their mean and the farthest."""
+    """(n,) distance to the farthest of the nearest neighbours, mm: larger beside a gap."""
     gap, _ = cKDTree(p.T).query(p.T, k=neighbours + 1, workers=-1)
-    return (0.5 * (gap[:, 1:].mean(1) + gap[:, -1])).astype(np.float32)
+    return gap[:, -1].astype(np.float32)
