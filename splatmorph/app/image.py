@@ -221,7 +221,7 @@ def _landmarks(
         source = detect_face(pictures[0], pairing.face_model)
         return source, detect_face(pictures[1], pairing.face_model)
     if how in (None, "auto"):
-        console.say("no landmarks are given: looking for features that both pictures show")
+        console.say("looking for features that both pictures show")
         return correspond.match_features(*pictures)
     pair = points.read_pair(Path(str(how)), *canvases)
     if pair is None:
