@@ -11,7 +11,7 @@ from splatmorph.errors import OptionError
 from splatmorph.metrics import Quality
 
 ENERGIES = ("jacobian", "hessian", "none")
-SMOOTHING = 1e-4
+SMOOTHING = 2e-4
 """Moves no landmark by a part in 10⁴ of the box, and keeps two that nearly coincide from
 wrinkling the field between them."""
 
