@@ -86,7 +86,7 @@ def streamlines(
             def pictures() -> Iterator[Any]:
                 for i, one in enumerate(views):
                     yield drawing.picture(subjects, lines, one)
-                    update(i + 1, frames)
+                    update(i + 1, frames, "")
 
             path = write_video(path, pictures(), frames / 4)
     console.say(f"wrote {path}")

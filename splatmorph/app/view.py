@@ -48,7 +48,7 @@ def view(
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
 
-        draw_diagnostics(diagnostics, subject, report["errors"], read_history(run))
+        draw_diagnostics(diagnostics, subject, report.get("errors", {}), read_history(run))
     if out is not None:
         page = write_page(out, subject, up=up, background=background, max_splats=max_splats)
         if page.thinned:

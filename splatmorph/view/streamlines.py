@@ -171,9 +171,18 @@ def _backdrop(
     subject: Subject, lines: Streamlines, view: Camera
 ) -> tuple[Array, NDArray[np.bool_]]:
     """A pale picture of the source, and which of the lines begin in front of it."""
-    arrays: tuple[Any, ...] = renderer_arrays(subject.morph.source)
+    means, quats, scales, opacities, sh = renderer_arrays(subject.morph.source)
     rgb, alpha, depth = rasterize(
-        *arrays, view.viewmat, view.K, view.width, view.height, background=(1, 1, 1)
+        means,
+        quats,
+        scales,
+        opacities,
+        sh,
+        view.viewmat,
+        view.K,
+        view.width,
+        view.height,
+        background=(1, 1, 1),
     )
     starts = lines.paths[:, 0] @ view.viewmat[:3, :3].T + view.viewmat[:3, 3]
     pixels = starts[:, :2] / starts[:, 2:] * view.K[0, 0] + view.K[:2, 2]
@@ -208,9 +217,9 @@ def _scene(
         plotter.set_background(PAPER)
         for column, (subject, traced) in enumerate(zip(subjects, lines, strict=True)):
             plotter.subplot(0, column)
-            _add_lines(plotter, subject, traced, limits)
-            if column == 0:
-                _add_bar(plotter, traced.colouring, view.height)
+            coloured = _add_lines(plotter, subject, traced, limits)
+            if coloured is not None and not plotter.scalar_bars:
+                _add_bar(plotter, coloured, traced.colouring, view.height)
             if clouds:
                 _add_cloud(plotter, subject)
             flow = subject.morph.flow.kind
@@ -249,31 +258,38 @@ def _choose_window(visible: bool) -> None:
     )
 
 
-def _add_lines(plotter: Any, subject: Subject, lines: Streamlines, limits: list[float]) -> None:
+def _add_lines(plotter: Any, subject: Subject, lines: Streamlines, limits: list[float]) -> Any:
+    """Add them; returns the mapper of their colours, None where nothing moves."""
     import pyvista
 
     radius = subject.bounds().radius
-    if len(lines.paths):
-        tails = _lines(lines.tails).tube(radius=0.0012 * radius, n_sides=6)
+    tails = _lines(lines.tails).tube(radius=0.0012 * radius, n_sides=6)
+    tubes = _polylines(lines).tube(radius=0.0034 * radius, n_sides=10)
+    # Where nothing moves, lines have no length and tubes no points.
+    if tails.n_points:
         plotter.add_mesh(tails, color=QUIET, lighting=False)
-        plotter.add_mesh(
-            _polylines(lines).tube(radius=0.0034 * radius, n_sides=10),
+    coloured = None
+    if tubes.n_points:
+        coloured = plotter.add_mesh(
+            tubes,
             scalars=lines.colouring,
             cmap=COLOUR_MAPS[lines.colouring],
             clim=limits,
             show_scalar_bar=False,
             smooth_shading=True,
-        )
+        ).mapper
     marks = lines.paths[lines.marked]
     for points, colour in ((marks[:, 0], SOURCE_COLOUR), (marks[:, -1], TARGET_COLOUR)):
         if len(points):
             ball = pyvista.Sphere(radius=0.0085 * radius)
             balls = pyvista.PolyData(points).glyph(geom=ball, scale=False, orient=False)
             plotter.add_mesh(balls, color=colour, smooth_shading=True)
+    return coloured
 
 
-def _add_bar(plotter: Any, colouring: str, height: int) -> None:
+def _add_bar(plotter: Any, coloured: Any, colouring: str, height: int) -> None:
     plotter.add_scalar_bar(
+        mapper=coloured,
         title=COLOURINGS[colouring] + "\n",
         color=INK,
         n_labels=3,

@@ -15,7 +15,7 @@ from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
-from splatmorph.run import load_inputs, morph_of, open_run
+from splatmorph.run import load_inputs, open_run
 
 VISIBLE = 1 / 255
 """Opacity below which no rasterizer draws a splat."""
@@ -60,9 +60,8 @@ def open_subject(
     run = open_run(folder)
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
-    inputs, leg = load_inputs(run), run.legs[0]
-    morph = morph_of(run, inputs, ramp=ramp, covariance=covariance)
-    source, target = inputs
+    (source, target), leg = load_inputs(run), run.legs[0]
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance)
     subject = Subject(
         morph,
         source.name,
