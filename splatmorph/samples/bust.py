@@ -66,20 +66,17 @@ def strokes(person: Person) -> tuple[Strokes, Array, Grid]:
     parts.append(flat(cloth, n, OVERLAP * local_spacing(cloth), garment.colors(cloth), 0.15))
     folds.append(creases(garment, cloth, n))
 
-    small = [eyes.eyeballs(head), eyes.lashes(head, rng), eyes.brows(head, rng)]
+    loose = [eyes.eyeballs(head), eyes.lashes(head, rng), eyes.brows(head, rng)]
     if person.studs:
-        small.append(studs(head))
-    for part in small:
-        parts.append(part)
-        folds.append(np.ones(len(part), np.float32))
-    tresses = [hair.drawn_back(head, skin, rng), hair.wound(head, rng)] if person.bun else []
-    if not person.bun:
-        tresses.append(hair.cropped(head, skin, rng))
+        loose.append(studs(head))
+    if person.bun:
+        loose += [hair.drawn_back(head, skin, rng), hair.wound(head, rng)]
+    else:
+        loose.append(hair.cropped(head, skin, rng))
     if person.beard:
-        tresses.append(hair.bearded(head, skin, rng))
-    for part in tresses:
-        parts.append(part)
-        folds.append(np.ones(len(part), np.float32))
+        loose.append(hair.bearded(head, skin, rng))
+    folds += [np.ones(len(part), np.float32) for part in loose]
+    parts += loose
     return Strokes.concatenate(parts), np.concatenate(folds), Grid.of(solid, LOW, HIGH, CELL)
 
 

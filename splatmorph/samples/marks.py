@@ -278,6 +278,7 @@ def mark_whorl(head: Head, outer: Field, marks: Marks) -> None:
     right, ahead = np.array([1.0, 0, 0]), np.array([0, 0.6, 0.8])
     center = np.array(hair.BUN_CENTER)
     whorl = Sight(tuple(center + 60 * axis), outer, tuple(-axis)).point()
+    surface: Field
     if head.person.bun:
         middle, surface, belly, foot = center, hair.bun, 30.0, 29.0
         top = center + axis * hair.BUN_RADII[1]
