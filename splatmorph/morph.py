@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TypeVar
 
-from splatmorph.errors import OptionError
+from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.ramps import EASES, RAMPS
@@ -65,7 +65,10 @@ class Morph:
         return next(self.sequence([t]))
 
     def sequence(self, times: Sequence[float]) -> Iterator[Gaussians]:
-        """The morphs at ``times``, in their order (any, repeats too), from one integration."""
+        """The morphs at ``times``, in their order (any, repeats too), from one integration.
+
+        A splat that the flow carries to infinity raises ``NonFiniteError`` at that frame.
+        """
         check_times(times)
         eased = [self._ease(t) for t in times]
         sources = self._half(self.source, eased, leaves=1)
@@ -90,6 +93,12 @@ class Morph:
                 yield None
                 continue
             moved = gaussians if frame is None or t == 0 else frame(stops.index(t))
+            lost = len(moved) - int(moved.means.isfinite().all(1).sum())
+            if lost:
+                raise NonFiniteError(
+                    f"the flow carries {lost} of {len(moved)} splats to infinity: expected t "
+                    "closer to [0, 1], or landmarks nearer to each other"
+                )
             yield moved if weight == 1 else self._ramp(moved, max(weight, UNSEEN))
 
 

@@ -8,9 +8,9 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from morph_cases import affine_flow, random_gaussians, same_bits
+from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits
 
-from splatmorph.errors import OptionError
+from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
 from splatmorph.ramps import EASES, RAMPS
@@ -115,6 +115,14 @@ def test_stable_count_keeps_every_splat_in_its_place(ramp: str) -> None:
 def test_a_time_that_is_no_number_is_refused_at_once(t: float) -> None:
     with pytest.raises(OptionError, match="expected a finite number"):
         Morph(SOURCE, TARGET, affine_flow()).sequence([0, t])
+
+
+@every_covariance
+def test_splats_that_leave_for_infinity_stop_the_morph(covariance: str) -> None:
+    growing = AffineFlow(200 * torch.eye(3), torch.zeros(3))
+    morph = Morph(SOURCE, TARGET, growing, covariance=covariance)
+    with pytest.raises(NonFiniteError, match="60 of 60 splats to infinity"):
+        morph.at(0.9)
 
 
 @pytest.mark.parametrize("option", ["ramp", "covariance", "ease"])
