@@ -12,7 +12,7 @@ from splatmorph.metrics import Quality
 
 ENERGIES = ("jacobian", "hessian", "none")
 SMOOTHING = 2e-4
-"""Moves no landmark by a part in 10⁴ of the box, and keeps two that nearly coincide from
+"""Moves landmarks by one or two parts in 10⁴ of the box, and keeps two that nearly coincide from
 wrinkling the field between them."""
 
 
