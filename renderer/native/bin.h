@@ -10,27 +10,29 @@ struct Entry {
 };
 
 
-// Rows first to last where the ellipse alpha = 1/255 meets 16 columns of tiles, the first of
+// Rows first to last where the ellipse alpha = 1/255 meets four columns of tiles, the first of
 // which begins at dx = left from its center. Between its extremes the upper and the lower arc
 // are monotonous, so their ends decide.
+constexpr int COLUMNS = 4;  // few splats meet more
 auto rows_of = [&](const Splat& s, float left, int* first, int* last) {
     #pragma clang fp contract(fast)
+    const Float4 step = {0.f, LANES, 2.f * LANES, 3.f * LANES};
     const float det = s.conic_xx * s.conic_yy - s.conic_xy * s.conic_xy;
     const float level = 2.f * (s.log_opacity - LOG_ALPHA_MIN) * s.conic_yy;
     const float inverse = 1.f / s.conic_yy, peak = -s.conic_xy / s.conic_xx * s.reach_y;
-    const Floats begin = larger(left + LANES * lane_index, all(-s.reach_x));
-    const Floats end = smaller(left + LANES * lane_index + (LANES - 1.f), all(s.reach_x));
-    const Floats a = root(larger(level - det * begin * begin, all(0.f)));
-    const Floats b = root(larger(level - det * end * end, all(0.f)));
-    const Floats tilt_a = s.conic_xy * begin, tilt_b = s.conic_xy * end;
-    Floats high = larger(a - tilt_a, b - tilt_b) * inverse;
-    Floats low = smaller(-a - tilt_a, -b - tilt_b) * inverse;
-    high = ((peak >= begin) & (peak <= end)) ? all(s.reach_y) : high;
-    low = ((-peak >= begin) & (-peak <= end)) ? all(-s.reach_y) : low;
-    const Floats top = larger(ceiling(s.y + low - (0.5f + SLACK)), all((float)s.top));
-    const Floats bottom = smaller(flooring(s.y + high - (0.5f - SLACK)), all((float)s.bottom));
-    *(Ints*)first = __builtin_convertvector(top, Ints);
-    *(Ints*)last = __builtin_convertvector(bottom, Ints);
+    const Float4 begin = larger(left + step, (Float4)-s.reach_x);
+    const Float4 end = smaller(left + step + (LANES - 1.f), (Float4)s.reach_x);
+    const Float4 a = root(larger(level - det * begin * begin, (Float4)0.f));
+    const Float4 b = root(larger(level - det * end * end, (Float4)0.f));
+    const Float4 tilt_a = s.conic_xy * begin, tilt_b = s.conic_xy * end;
+    Float4 high = larger(a - tilt_a, b - tilt_b) * inverse;
+    Float4 low = smaller(-a - tilt_a, -b - tilt_b) * inverse;
+    high = ((peak >= begin) & (peak <= end)) ? (Float4)s.reach_y : high;
+    low = ((-peak >= begin) & (-peak <= end)) ? (Float4)-s.reach_y : low;
+    const Float4 top = larger(ceiling(s.y + low - (0.5f + SLACK)), (Float4)(float)s.top);
+    const Float4 bottom = smaller(flooring(s.y + high - (0.5f - SLACK)), (Float4)(float)s.bottom);
+    *(Int4*)first = __builtin_convertvector(top, Int4);
+    *(Int4*)last = __builtin_convertvector(bottom, Int4);
 };
 
 // Depth order is no order in memory: ask early for what the colour of a splat will need.
@@ -55,18 +57,19 @@ auto list_splat = [&](int id, Word* list, int* count) -> int {
     const Splat s = splats[id];
     const int column0 = s.left / LANES, column1 = s.right / LANES;
     const int row0 = s.top / ROWS, row1 = s.bottom / ROWS;
-    bool seen = false;
-    for (int row = row0; row <= row1; ++row)
+    // Before its rows are worked out, see that any tile of its box is open at all.
+    bool seen = column0 == column1;
+    for (int row = row0; row <= row1 && !seen; ++row)
         for (int column = column0; column <= column1; ++column) {
             int top = s.top, bottom = s.bottom;
             seen |= meets(row, column, top, bottom);
         }
     if (!seen) return 0;
-    alignas(64) int first[LANES], last[LANES];
+    alignas(16) int first[COLUMNS], last[COLUMNS];
     first[0] = s.top, last[0] = s.bottom;
     int listed = 0;
     for (int column = column0; column <= column1; ++column) {
-        const int lane = (column - column0) % LANES;
+        const int lane = (column - column0) % COLUMNS;
         if (!lane && column0 < column1) rows_of(s, column * LANES + 0.5f - s.x, first, last);
         for (int row = first[lane] / ROWS; row <= last[lane] / ROWS; ++row) {
             int top = first[lane], bottom = last[lane];

@@ -4,6 +4,7 @@ constexpr int LANES = 16;
 typedef float Floats __attribute__((ext_vector_type(16)));
 typedef int Ints __attribute__((ext_vector_type(16)));
 typedef float Float4 __attribute__((ext_vector_type(4)));
+typedef int Int4 __attribute__((ext_vector_type(4)));
 typedef Floats UnalignedFloats __attribute__((aligned(4)));
 typedef Float4 UnalignedFloat4 __attribute__((aligned(4)));
 typedef unsigned long long Word;
@@ -12,11 +13,11 @@ const Floats lane_index = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15}
 
 auto load = [&](const float* p) -> Floats { return *(const UnalignedFloats*)p; };
 auto store = [&](float* p, Floats v) { *(UnalignedFloats*)p = v; };
-auto larger = [&](Floats a, Floats b) -> Floats { return __builtin_elementwise_max(a, b); };
-auto smaller = [&](Floats a, Floats b) -> Floats { return __builtin_elementwise_min(a, b); };
-auto root = [&](Floats a) -> Floats { return __builtin_elementwise_sqrt(a); };
-auto ceiling = [&](Floats a) -> Floats { return __builtin_elementwise_ceil(a); };
-auto flooring = [&](Floats a) -> Floats { return __builtin_elementwise_floor(a); };
+auto larger = [&](auto a, decltype(a) b) { return __builtin_elementwise_max(a, b); };
+auto smaller = [&](auto a, decltype(a) b) { return __builtin_elementwise_min(a, b); };
+auto root = [&](auto a) { return __builtin_elementwise_sqrt(a); };
+auto ceiling = [&](auto a) { return __builtin_elementwise_ceil(a); };
+auto flooring = [&](auto a) { return __builtin_elementwise_floor(a); };
 auto all = [&](float x) -> Floats { return (Floats)x; };
 
 auto pick = [&](const float* rows, int stride) -> Floats {
