@@ -111,8 +111,8 @@ def _interpolated(table: Tensor, alpha: Tensor) -> tuple[Tensor, ...]:
 
 
 def _drawn_opacities(gaussians: Gaussians) -> Tensor:
-    """(n,) opacities as renderers take them: more than DENSEST is DENSEST."""
-    return gaussians.opacities.clamp(torch.finfo(torch.float32).tiny, DENSEST)
+    """(n,) opacities as renderers take them, more than DENSEST being DENSEST; never quite 0."""
+    return gaussians.opacities.clamp(1e-12, DENSEST)
 
 
 def _scaled(gaussians: Gaussians, log_factor: Tensor) -> Gaussians:
