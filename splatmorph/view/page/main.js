@@ -40,7 +40,7 @@ function start(scene) {
   const overlay = new LandmarkOverlay($("overlay"), $("tip"), scene);
   const grounds = scene.background ? [scene.background, ...GROUNDS] : GROUNDS;
   const state = { t: 0, ramp: Math.max(0, scene.rampNames.indexOf(scene.ramp)), part: "morph", marks: false, loop: true, playing: false, ground: 0 };
-  const pace = { phase: 0, last: 0, coarse: 1, moved: 0, queued: false };
+  const pace = { phase: 0, last: 0, coarse: 1, took: 0, moved: 0, queued: false };
 
   const changed = () => {
     pace.moved = performance.now();
@@ -83,17 +83,18 @@ function start(scene) {
 
   // A picture in motion gives up pixels where the device is slow; at rest it is drawn in full.
   function ratio(now, moving) {
-    const took = now - pace.last;
     if (moving && pace.last) {
-      if (took > SLOW) pace.coarse = Math.max(0.35, pace.coarse * Math.max(0.6, Math.sqrt(SLOW / took)));
-      else if (took < SLOW / 2) pace.coarse = Math.min(1, pace.coarse * 1.05);
+      pace.took = Math.min(now - pace.last, 500);
+      if (pace.took > SLOW) pace.coarse = Math.max(0.35, pace.coarse * Math.max(0.6, Math.sqrt(SLOW / pace.took)));
+      else if (pace.took < SLOW / 2) pace.coarse = Math.min(1, pace.coarse * 1.05);
     }
     return Math.min(devicePixelRatio, 2) * (moving ? pace.coarse : 1);
   }
 
   function frame(now) {
     pace.queued = false;
-    const moving = state.playing || now - pace.moved < 160;
+    // A slow device gets a few coarse pictures before it is taken to be at rest.
+    const moving = state.playing || now - pace.moved < Math.max(160, 2.5 * pace.took);
     advance(now);
     const scale = ratio(now, moving);
     pace.last = moving ? now : 0;
