@@ -32,7 +32,7 @@ times = st.floats(-1.0, 1.0)
 
 
 def order_of(flow: Flow) -> float:
-    """What the laws hold to: an ODE to its integrator, a closed form to rounding (times H's slope)."""
+    """What the laws hold to: an ODE to its integrator, a closed form to rounding."""
     return 2e-5 if isinstance(flow, Node) else 1e-9
 
 
