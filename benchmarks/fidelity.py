@@ -28,7 +28,7 @@ from torch import Tensor
 
 from renderer import Bounds, Camera, orbit, rasterize
 from splatmorph import io
-from splatmorph.fit import fit
+from splatmorph.fitting import fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks

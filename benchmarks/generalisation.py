@@ -17,7 +17,7 @@ import torch
 from pairs import Pair, heads, persons
 from scipy.interpolate import RBFInterpolator
 
-from splatmorph.fit import FitConfig, fit
+from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
 
 RBF = ("linear", "thin_plate_spline", "cubic")

@@ -24,7 +24,7 @@ import numpy as np
 import torch
 
 from splatmorph.errors import MissingExtraError
-from splatmorph.fit import FitConfig, fit
+from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.images import (
     Canvas,

@@ -19,7 +19,7 @@ import matplotlib as mpl
 import torch
 from pairs import Pair, frll, head, nersemble
 
-from splatmorph.fit import FitConfig, FitReport, fit
+from splatmorph.fitting import FitConfig, FitReport, fit
 from splatmorph.flows import Conjugate, Flow, Node, make_flow
 from splatmorph.flows.node import runge_kutta
 

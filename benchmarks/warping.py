@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 
-from splatmorph.fit import FitConfig, fit
+from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import Node, make_flow
 from splatmorph.flows import node as node_module
 from splatmorph.flows.node import runge_kutta

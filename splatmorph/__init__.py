@@ -16,7 +16,7 @@ from splatmorph._version import __version__
 from splatmorph.errors import SplatmorphError
 
 if TYPE_CHECKING:
-    from splatmorph.fit import FitConfig, FitReport, fit
+    from splatmorph.fitting import FitConfig, FitReport, fit
     from splatmorph.flows import Flow, make_flow
     from splatmorph.gaussians import Gaussians
     from splatmorph.inputs import load_input
@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 
 # Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
 _HOMES = {
-    "FitConfig": "fit",
-    "FitReport": "fit",
+    "FitConfig": "fitting",
+    "FitReport": "fitting",
     "Flow": "flows",
     "Gaussians": "gaussians",
     "Landmarks": "landmarks",
     "Morph": "morph",
-    "fit": "fit",
+    "fit": "fitting",
     "load_input": "inputs",
     "load_run": "run",
     "make_flow": "flows",

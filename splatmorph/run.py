@@ -27,7 +27,7 @@ from torch import Tensor
 from splatmorph._version import __version__
 from splatmorph.chain import Chain, average
 from splatmorph.errors import OptionError, RunError
-from splatmorph.fit import FitReport, FitState
+from splatmorph.fitting import FitReport, FitState
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import Input, fingerprint, load_splat

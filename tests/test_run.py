@@ -13,6 +13,8 @@ import torch
 
 from splatmorph import io
 from splatmorph.errors import RunError
+from splatmorph.fitting import FitState, fit
+from splatmorph.flows import make_flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import load_input
 from splatmorph.landmarks import Landmarks
@@ -26,8 +28,6 @@ from splatmorph.run import (
     save_run,
     save_state,
 )
-from splatmorph.fit import FitState, fit
-from splatmorph.flows import make_flow
 
 MakeGaussians = Callable[..., Gaussians]
 

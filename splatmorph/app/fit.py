@@ -18,8 +18,8 @@ from splatmorph.app.options import Device, Out, Overwrite, Seed, Splat, choose_d
 from splatmorph.app.posing import Pair, Posing, landmarks_of
 from splatmorph.chain import mean_landmarks
 from splatmorph.errors import OutputExistsError
-from splatmorph.fit import FitConfig, FitProgress, FitReport
-from splatmorph.fit import fit as fit_flow
+from splatmorph.fitting import FitConfig, FitProgress, FitReport
+from splatmorph.fitting import fit as fit_flow
 from splatmorph.flows import Flow, Node, make_flow
 from splatmorph.inputs import Input as Loaded
 from splatmorph.landmarks import Landmarks
@@ -180,9 +180,8 @@ def _summarise(folder: Path, loaded: Sequence[Loaded], reports: Sequence[FitRepo
     console.say(f"{names}: {' + '.join(f'{len(one.gaussians):,}' for one in loaded)} splats")
     for report in reports:
         if report.interrupted:
-            console.warn(
-                "interrupted: the best flow so far is kept; the same command with --resume goes on"
-            )
+            way = "--resume goes on" if has_state(folder) else "-w begins anew"
+            console.warn(f"interrupted: the best flow so far is kept; the same command with {way}")
         for warning in report.warnings:
             console.warn(warning)
         console.say(f"{report.landmarks} landmarks, {report.seconds:.2f} s: {report.status}")

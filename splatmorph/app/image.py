@@ -15,7 +15,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json, Out, Overwrite, Seed, SizeOption, TimesOption
 from splatmorph.app.render import STILLS, WITH_ALPHA, frame_times
 from splatmorph.errors import OptionError
-from splatmorph.fit import FitConfig, FitProgress, FitReport, fit
+from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
 from splatmorph.flows import Still, make_flow
 from splatmorph.images import (
     Canvas,

@@ -98,7 +98,7 @@ def _refitted(subject: Subject, kind: str) -> Subject:
         return subject
     from dataclasses import replace
 
-    from splatmorph.fit import fit
+    from splatmorph.fitting import fit
     from splatmorph.flows import make_flow
     from splatmorph.landmarks import Landmarks
     from splatmorph.morph import Morph

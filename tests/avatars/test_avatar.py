@@ -24,7 +24,7 @@ from splatmorph.avatars import (
 )
 from splatmorph.avatars.flame import Flame
 from splatmorph.errors import LocalFrameError, OptionError, ReadError
-from splatmorph.fit import FitConfig, fit
+from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph

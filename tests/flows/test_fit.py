@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError, OptionError
-from splatmorph.fit import FitConfig, FitProgress, FitState, fit
-from splatmorph.fit.train import CHECK_EVERY
+from splatmorph.fitting import FitConfig, FitProgress, FitState, fit
+from splatmorph.fitting.train import CHECK_EVERY
 from splatmorph.flows import KINDS, Flow, Ifmorph, Node, make_flow
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import landmark_mse
@@ -173,7 +173,7 @@ def test_non_finite_training_stops(
     flow = make_flow(**options)
     objective = {"node": "Siren", "ncf": "Conjugate", "ifmorph": "Ifmorph"}[flow.kind]
     monkeypatch.setattr(
-        f"splatmorph.fit.objectives.{objective}Objective.loss",
+        f"splatmorph.fitting.objectives.{objective}Objective.loss",
         lambda *_: torch.tensor(math.nan, requires_grad=True),
     )
     with pytest.raises(NonFiniteError, match="attempts"):

@@ -9,7 +9,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
-from splatmorph.fit import fit
+from splatmorph.fitting import fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.images import Canvas, Picture
 from splatmorph.landmarks import Landmarks

@@ -9,7 +9,7 @@ from scenes import Turn, painted
 from scipy.ndimage import gaussian_filter
 
 from splatmorph.errors import LandmarkError
-from splatmorph.fit import fit
+from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
 from splatmorph.images import FlowWarp, ImageMorph, Picture
 from splatmorph.images.correspond import dense_motion, follow_motion, match_features

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from splatmorph.fit import FitConfig, fit
+from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
 from splatmorph.images import (
     Canvas,

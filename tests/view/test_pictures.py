@@ -16,7 +16,7 @@ from test_page import Swirl, blob, subject
 from renderer import orbit
 from splatmorph.app import run as command
 from splatmorph.errors import MissingExtraError, OptionError, WriteError
-from splatmorph.fit import fit
+from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
 from splatmorph.io import write
 from splatmorph.landmarks import Landmarks

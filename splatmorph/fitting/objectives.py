@@ -5,9 +5,9 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from splatmorph.fit.report import FitConfig
-from splatmorph.fit.solve import affine_velocity, half_time_gap, solve_spline
-from splatmorph.fit.train import Recipe
+from splatmorph.fitting.report import FitConfig
+from splatmorph.fitting.solve import affine_velocity, half_time_gap, solve_spline
+from splatmorph.fitting.train import Recipe
 from splatmorph.flows.conjugate import Conjugate
 from splatmorph.flows.ifmorph import Ifmorph
 from splatmorph.flows.jets import Jet

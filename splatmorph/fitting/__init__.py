@@ -10,16 +10,16 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError
-from splatmorph.fit.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions
-from splatmorph.fit.objectives import (
+from splatmorph.fitting.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions
+from splatmorph.fitting.objectives import (
     ConjugateObjective,
     IfmorphObjective,
     Region,
     SirenObjective,
 )
-from splatmorph.fit.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
-from splatmorph.fit.solve import Record, solve_displacement, solve_spline
-from splatmorph.fit.train import Objective, train
+from splatmorph.fitting.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
+from splatmorph.fitting.solve import Record, solve_displacement, solve_spline
+from splatmorph.fitting.train import Objective, train
 from splatmorph.flows import Conjugate, Displacement, Flow, Ifmorph, Node, SplineField
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import Quality, evaluate

@@ -11,8 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from splatmorph.errors import NonFiniteError, OptionError
-from splatmorph.fit.report import SMOOTHING, FitConfig, FitState
-from splatmorph.fit.solve import Record
+from splatmorph.fitting.report import SMOOTHING, FitConfig, FitState
+from splatmorph.fitting.solve import Record
 
 CHECK_EVERY = 20
 """Steps between two looks at the true metric."""

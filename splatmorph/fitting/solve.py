@@ -8,7 +8,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from splatmorph.fit.report import FitConfig
+from splatmorph.fitting.report import FitConfig
 from splatmorph.flows.displacement import Displacement
 from splatmorph.flows.node import runge_kutta
 from splatmorph.flows.spline import SplineField, SplineInterpolant
