@@ -13,6 +13,7 @@ from renderer import Bounds, Camera, bounds_of, orbit, rasterize
 from splatmorph.gaussians import Gaussians
 
 Colour = Sequence[float]
+Array = NDArray[np.float32]
 
 SWING = 40.0
 """Degrees to each side that a turntable of a morph swings: heads from one picture have no back."""
@@ -52,16 +53,19 @@ def render(
     return np.asarray(np.clip(rgb * 255 + 0.5, 0, 255).astype(np.uint8))
 
 
-def renderer_arrays(gaussians: Gaussians) -> tuple[NDArray[np.float32], ...]:
+def renderer_arrays(gaussians: Gaussians) -> tuple[Array, Array, Array, Array, Array]:
     """means, quats, scales, opacities and sh as ``renderer.rasterize`` takes them."""
-    fields = (
-        gaussians.means,
-        gaussians.quats,
-        gaussians.scales,
-        gaussians.opacities,
-        gaussians.sh,
+
+    def array(field: torch.Tensor) -> Array:
+        return field.detach().to("cpu", torch.float32).contiguous().numpy()
+
+    return (
+        array(gaussians.means),
+        array(gaussians.quats),
+        array(gaussians.scales),
+        array(gaussians.opacities),
+        array(gaussians.sh),
     )
-    return tuple(field.detach().to("cpu", torch.float32).contiguous().numpy() for field in fields)
 
 
 def bounds(*splats: Gaussians) -> Bounds:

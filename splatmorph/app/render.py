@@ -111,7 +111,7 @@ def render(
 
 
 def _shot(
-    what: Path, t: Times | None, count: int, blending: dict[str, str], drive: Path | None
+    what: Path, t: Times | None, count: int, blending: dict[str, Any], drive: Path | None
 ) -> Shot:
     if not what.is_dir() or is_avatar(what):
         splat = load_splat(what).gaussians
@@ -136,7 +136,7 @@ def _sheet(
     what: Path,
     t: Times | None,
     view: Viewpoint,
-    blending: dict[str, str],
+    blending: dict[str, Any],
     background: Sequence[float] | None,
     parts: bool,
     device: str,

@@ -171,7 +171,7 @@ def _stack(columns: Columns, names: Sequence[str]) -> NDArray[np.float32]:
 
 
 def _extra(value: NDArray[np.generic]) -> torch.Tensor:
-    return torch.from_numpy(np.array(value, EXTRA_TYPES.get(value.dtype, value.dtype)))
+    return torch.from_numpy(value.astype(EXTRA_TYPES.get(value.dtype, value.dtype)))
 
 
 def _rest_names(columns: Columns, path: str | Path) -> list[str]:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from renderer import Camera
+from splatmorph.chain import Chain
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
@@ -21,7 +22,7 @@ PARTS = ("source part", "target part", "union")
 
 
 def contact_sheet(
-    morph: Morph,
+    morph: Morph | Chain,
     times: Sequence[float],
     cameras: Sequence[Camera],
     *,
@@ -41,8 +42,11 @@ def contact_sheet(
     Returns the sheet, (height, width, 3) uint8.
 
     Raises:
-        OptionError: no time, no camera, or cameras of several sizes.
+        OptionError: no time, no camera, cameras of several sizes, or the parts of a chain.
     """
+    halved = morph if parts and isinstance(morph, Morph) else None
+    if parts and halved is None:
+        raise OptionError("a chain has no two parts to show: choose a run of two splats")
     if not times or not cameras:
         raise OptionError(f"{len(times)} times and {len(cameras)} views, expected some of both")
     sizes = {(camera.width, camera.height) for camera in cameras}
@@ -50,7 +54,7 @@ def contact_sheet(
         raise OptionError(f"pictures of a sheet must have one size, found {sorted(sizes)}")
     columns = []
     for t, whole in zip(times, morph.sequence(times), strict=True):
-        shown = [*_halves(morph, t, whole), whole] if parts else [whole]
+        shown = [*_halves(halved, t, whole), whole] if halved else [whole]
         columns.append(
             [
                 render(splats, camera, background=background, device=device)
