@@ -6,14 +6,9 @@ from __future__ import annotations
 
 import math
 
-import warp as wp
-
 from renderer import reference
+from renderer.quietly import wp
 
-if hasattr(wp.config, "log_level"):
-    wp.config.log_level = wp.LOG_ERROR  # a library prints nothing
-else:
-    wp.config.quiet = True
 wp.set_module_options({"enable_backward": False})
 
 TILE = wp.constant(16)

@@ -9,17 +9,10 @@ from functools import cache
 from pathlib import Path
 
 import torch
-import warp as wp
 
+from renderer.quietly import wp
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
-
-if hasattr(wp.config, "log_level"):
-    wp.config.log_level = wp.LOG_ERROR  # a library prints nothing
-else:
-    wp.config.quiet = True
-
-wp.init()
 
 MOST_WIDTH = 256
 """Widest network that ``path.h`` has room for."""
