@@ -13,9 +13,9 @@ from splatmorph.samples import sample_pair
 
 TIMES = (0.0, 0.25, 0.5, 0.75, 1.0)
 AZIMUTHS = (-32.0, -16.0, 0.0, 16.0, 32.0)
-WIDTH, HEIGHT = 400, 480
-TRIM = 30
-"""Pixels of empty background cut from each side of a frame."""
+SIDE = 540
+ROWS, COLUMNS = slice(40, 520), slice(105, 435)
+"""What is kept of each frame: the heads without the empty background."""
 
 
 def main() -> None:
@@ -24,9 +24,9 @@ def main() -> None:
     flow = sm.make_flow("node", dim=3)
     sm.fit(flow, source_marks, target_marks, domain=source.means.double())
     morph = sm.Morph(source, target, flow)
-    cameras = orbit(bounds(source, target), AZIMUTHS, elevation=4, width=WIDTH, height=HEIGHT)
+    cameras = orbit(bounds(source, target), AZIMUTHS, elevation=4, width=SIDE, height=SIDE)
     frames = [
-        sm.render(splat, camera)[:, TRIM:-TRIM]
+        sm.render(splat, camera)[ROWS, COLUMNS]
         for splat, camera in zip(morph.sequence(TIMES), cameras, strict=True)
     ]
     write_image(Path(__file__).with_name("morph.png"), np.concatenate(frames, axis=1))
