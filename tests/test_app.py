@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import subprocess
 import sys
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from plyfile import PlyData
 
 from splatmorph import io
 from splatmorph.app import console, run
@@ -164,7 +166,9 @@ def test_a_chain_visits_every_splat_bit_for_bit(
     header = Path("out/morph_0003.ply").read_bytes()[:300].decode("latin1")
     assert "t=1.5 source=b target=c" in header
     assert cli("render", "a-b-c.run", "--size", "32x32", "--frames", 3)[0] == 0
+    assert "group" in cli("eval", "a-b-c.run")[1]
     assert cli("fit", "a.ply", "b.ply", "c.ply", "--mean")[0] == 0
+    assert len(json.loads(cli("eval", "a-b-c-mean.run", "--json")[1])["legs"]) == 3
     assert cli("export", "a-b-c-mean.run")[0] == 0
     assert 0 < len(io.read("a-b-c-mean.ply")) <= 440
     assert cli("render", "a-b-c-mean.run", "--size", "32x32", "-o", "mean.png")[0] == 0
@@ -253,6 +257,28 @@ def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
     failed(cli(*training, "-o", "cut.run", "--resume"), "nothing is left to --resume")
 
 
+def test_a_full_disk_leaves_whole_frames_that_the_next_export_keeps(
+    fitted: Path, cli: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    genuine, calls = PlyData.write, []
+
+    def full(self: PlyData, stream: Path) -> None:
+        calls.append(stream)
+        if len(calls) == 3:
+            Path(stream).write_bytes(b"ply\nhalf")
+            raise OSError(errno.ENOSPC, "No space left on device")
+        genuine(self, stream)
+
+    monkeypatch.setattr(PlyData, "write", full)
+    failed(cli("export", fitted, "-o", "out"), "morph_0002.ply: the disk is full")
+    assert sorted(file.name for file in Path("out").glob("*.ply")) == [
+        "morph_0000.ply",
+        "morph_0001.ply",
+    ]
+    assert "2 frames were there" in cli("export", fitted, "-o", "out")[1]
+    assert len(io.read("out/morph_0004.ply")) == 150
+
+
 # Bad input ----------------------------------------------------------------------------------
 
 
@@ -273,6 +299,8 @@ def test_data_errors_are_one_line(pair: tuple[Path, Path], cli: Run) -> None:
     failed(cli("render", "a.ply", "--frames", 0), "0 frames")
     failed(cli("render", "a.ply", "--up", "w"), "up")
     failed(cli("render", "a.ply", "-o", "no/x.png"), "no")
+    failed(cli("fit", "a.ply", "b.ply", "-o", "a.ply/x.run"), "can't make the folder")
+    failed(cli("fit", "a.ply", "b.ply", "-o", "a.ply"), "a.ply is a file")
     Path("b.landmarks.json").unlink()
     failed(cli("fit", "a.ply", "b.ply"), "no landmarks", "b.landmarks.json", "nose")
     Landmarks(torch.rand(5, 3), tuple("vwxyz")).write("b.landmarks.json")

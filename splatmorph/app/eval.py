@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -38,10 +39,9 @@ def eval(
     opened = open_run(run)
     splats = [one.gaussians.means for one in load_inputs(opened)]
     pairs = None if held_out is None else read_pairs(held_out)
-    legs = [
-        measure(leg, torch.cat([a, b]), pairs)
-        for leg, a, b in zip(opened.legs, splats, splats[1:], strict=False)
-    ]
+    # A leg of an average goes from one splat to the mean shape, where no splat is.
+    ends = splats if opened.is_mean else [torch.cat(pair) for pair in pairwise(splats)]
+    legs = [measure(leg, points, pairs) for leg, points in zip(opened.legs, ends, strict=True)]
     if json:
         console.emit_json({"run": str(run), "legs": legs})
     else:
