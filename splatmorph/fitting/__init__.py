@@ -177,8 +177,11 @@ def _report(
 
 def _status(quality: Quality, finished: bool) -> str:
     how = "" if finished else "interrupted, the best so far is kept: "
-    if quality.mse**0.5 < MISSED:
+    missed = {n: error for n, error in quality.errors.items() if error > MISSED * quality.scale}
+    if not missed:
         return f"{how}landmarks met"
-    worst = list(quality.errors.items())[:3]
-    named = ", ".join(f"{name} by {error:.3g}" for name, error in worst)
-    return f"{how}landmarks missed, worst {named}"
+    named = ", ".join(f"{name} by {error:.3g}" for name, error in list(missed.items())[:3])
+    return (
+        f"{how}{len(missed)} of {len(quality.errors)} landmarks missed by more than "
+        f"{MISSED * quality.scale:.2g}, worst {named}"
+    )

@@ -10,7 +10,8 @@ from splatmorph.flows import Node
 STRETCH = 20.0
 """Neighbouring landmarks that come this many times closer or farther contradict each other."""
 MISSED = 1e-2
-"""Root mean squared landmark error, frame units, above which a fit is said to miss."""
+"""Largest error of a landmark, frame units, above which it is said to be missed: 0.5 % of the
+box's longest side, about a splat."""
 SQUEEZED = 0.05
 """det ∂Φ/∂x below which the warp is said to squeeze."""
 MOST_WARNINGS = 5

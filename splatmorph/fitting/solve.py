@@ -15,6 +15,10 @@ from splatmorph.flows.spline import SplineField, SplineInterpolant
 from splatmorph.metrics import MANY_LANDMARKS
 
 SPLINE_STEPS = 12
+PATIENCE = 3
+"""Steps without a smaller residual after which the landmarks are taken for contradictory."""
+COMPARABLE = 4.0
+"""Iterates whose mean squared residual is within this factor of the least compete for the best."""
 TRAINING_STEP = 0.25
 """Longest Runge-Kutta step while fitting; a longer one meets the landmarks only by itself."""
 
@@ -59,6 +63,10 @@ def solve_spline(
     one to them, so they are corrected by the gap itself, with Anderson's acceleration; the spline
     system is factorised once. With smoothing λ > 0 the fixed point minimises Σ|gap|² + λ·bending.
 
+    Landmarks that no stationary flow can meet have no fixed point: closing their gap at half-time
+    squeezes the space between them until their ends move apart. Then the iterate that is best
+    over the whole path is kept.
+
     ``velocity``, where given, is what flows: a field of which ``field`` is only the last
     correction, so that it begins at zero.
     """
@@ -68,7 +76,7 @@ def solve_spline(
     flowing = velocity or field
     steps = config.steps or SPLINE_STEPS
     tried: list[tuple[Tensor, Tensor]] = []
-    best, best_mse = data, float("inf")
+    residuals: list[float] = []
     for step in range(steps):
         interpolant.set_values(data)
         gap = half_time_gap(flowing, p, q)
@@ -76,15 +84,37 @@ def solve_spline(
         record(step + 1, steps, mse)
         if not math.isfinite(mse):
             break
-        if mse < best_mse or config.smoothing:
-            best, best_mse = data, mse
         # The field misses its data by λ times its weights; at the fixed point the gap makes up.
         change = gap - config.smoothing * field.weights
-        if float(change.square().mean()) < config.tolerance:
+        residuals.append(float(change.square().mean()))
+        if residuals[-1] < config.tolerance:
             return
         tried.append((data, change))
+        if min(residuals) < min(residuals[-PATIENCE:]):
+            break
         data = anderson(tried)
-    interpolant.set_values(best)
+
+    def error(values: Tensor) -> float:
+        interpolant.set_values(values)
+        return path_error(flowing, p, q)
+
+    near = [
+        values
+        for (values, _), residual in zip(tried, residuals, strict=True)
+        if residual <= COMPARABLE * min(residuals)
+    ]
+    if near:
+        interpolant.set_values(min(near, key=error))
+
+
+def path_error(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) -> float:
+    """Mean squared landmark error a coordinate at both ends, Φ(p, 1) - q and Φ(q, -1) - p."""
+    whole = torch.ones_like(p[:, :1])
+    ends = runge_kutta(
+        velocity, torch.cat([p, q]), torch.cat([whole, -whole]), round(1 / TRAINING_STEP)
+    )
+    error = float((ends - torch.cat([q, p])).square().mean())
+    return error if math.isfinite(error) else math.inf
 
 
 def anderson(tried: list[tuple[Tensor, Tensor]]) -> Tensor:
