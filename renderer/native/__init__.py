@@ -7,7 +7,10 @@ launches share the frame's tasks (``frame.h``). The memory of a frame is kept fo
 
 from __future__ import annotations
 
+import contextlib
 import functools
+import itertools
+import math
 import os
 import threading
 from collections.abc import Mapping, Sequence
@@ -23,6 +26,7 @@ from renderer.native import kernel
 
 Array = NDArray[Any]
 
+CACHE_LINE = 64
 SPLAT_FLOATS = 16
 TILE_FLOATS = 5 * kernel.COLUMN * kernel.ROWS
 STATE_WORDS = 64
@@ -77,17 +81,19 @@ class _Memory:
         for name, size in sizes.items():
             array = self.arrays.get(name)
             if array is None or len(array) < size:
-                array = self.arrays[name] = _aligned(size, kernel.MEMORY_TYPES[name])
+                dtype = kernel.MEMORY_TYPES[name]
+                numbers = _aligned((size,), wp.dtype_to_numpy(dtype))
+                array = self.arrays[name] = wp.array(numbers, dtype=dtype, copy=False, device="cpu")
             setattr(memory, name, array)
         return memory
 
 
-def _aligned(size: int, dtype: Any) -> wp.array:
+def _aligned(shape: tuple[int, ...], dtype: Any) -> Array:
     """An uninitialised array at the start of a cache line."""
-    raw = np.empty(size * wp.types.type_size_in_bytes(dtype) + 64, np.uint8)
-    skip = -raw.ctypes.data % 64
-    numbers = raw[skip : len(raw) - 64 + skip].view(wp.dtype_to_numpy(dtype))
-    return wp.array(numbers, dtype=dtype, copy=False, device="cpu")
+    size = math.prod(shape) * np.dtype(dtype).itemsize
+    raw = np.empty(size + CACHE_LINE, np.uint8)
+    skip = -raw.ctypes.data % CACHE_LINE
+    return raw[skip : skip + size].view(dtype).reshape(shape)
 
 
 _memory = _Memory()
@@ -101,7 +107,19 @@ def stage_shares() -> dict[str, float]:
 
 @functools.cache
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, "rasterize")
+    """So many threads; where they are as many as the cores, one on each.
+
+    Left to itself, the system at times keeps two of them on one core for a whole frame.
+    """
+    free = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_setaffinity") else []
+
+    def stay_on_one_core() -> None:
+        if len(free) == threads:
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(0, {free[next(numbers)]})
+
+    numbers = itertools.count()
+    return ThreadPoolExecutor(threads, "rasterize", stay_on_one_core)
 
 
 def render(
@@ -116,8 +134,7 @@ def render(
     arrays = [_flat(array) for array in scene.values()]
     height, width = views[0].height, views[0].width
     shape = (len(views), height, width)
-    rgb = np.empty((*shape, 3), np.float32)
-    alpha, depth = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    rgb, alpha, depth = (_aligned((*shape, *tail), np.float32) for tail in ((3,), (), ()))
     tiles = -(-width // kernel.COLUMN) * -(-height // kernel.ROWS)
     with _drawing:
         memory = _memory.fit(n, tiles)
@@ -135,11 +152,14 @@ def _flat(array: Array) -> wp.array:
 def _draw(inputs: Sequence[Any], memory: kernel.Memory, threads: int) -> None:
     memory.state.numpy()[:] = 0
     memory.state.numpy()[0] = kernel.PARTS << 28
-    launch = functools.partial(wp.launch, kernel.draw, 1, inputs, device="cpu")
-    others = [_pool(threads - 1).submit(launch) for _ in range(threads - 1)]
+    frame = wp.launch(kernel.draw, 1, inputs, device="cpu", record_cmd=True)
+    if threads == 1:
+        frame.launch()
+        return
+    shares = [_pool(threads).submit(frame.launch) for _ in range(threads)]
     try:
-        launch()
-    finally:
-        wait(others)
-    for other in others:
-        other.result()
+        wait(shares)
+    finally:  # an interrupt must not free what the threads still write to
+        wait(shares)
+    for share in shares:
+        share.result()
