@@ -14,8 +14,8 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import FEWEST, Landmarks
 from splatmorph.morph import Morph, check_times, chosen
-from splatmorph.ramps import RAMPS
-from splatmorph.transport import COVARIANCES
+from splatmorph.ramps import DEFAULT_RAMP, RAMPS
+from splatmorph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 
 class Chain:
@@ -64,8 +64,8 @@ def average(
     flows: Sequence[Flow],
     weights: Sequence[float] | None = None,
     *,
-    ramp: str = "linear",
-    covariance: str = "fixed",
+    ramp: str = DEFAULT_RAMP,
+    covariance: str = DEFAULT_COVARIANCE,
 ) -> Gaussians:
     """One splat that is the average of several.
 

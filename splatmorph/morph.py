@@ -9,8 +9,8 @@ from typing import TypeVar
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import EASES, RAMPS
-from splatmorph.transport import COVARIANCES
+from splatmorph.ramps import DEFAULT_RAMP, EASES, RAMPS
+from splatmorph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 Choice = TypeVar("Choice")
 
@@ -23,15 +23,15 @@ class Morph:
 
     Both splats travel along one flow Φ that takes the source's shape to the target's: the source
     half stands at Φ(x, t), the target half at Φ(x, t - 1), and the ramp fades the one out and the
-    other in. Below 0 only the source is left and above 1 only the target, carried on by the same
+    other in. With ``ramp="linear"`` and ``covariance="fixed"`` that is the paper's morph; the
+    defaults keep the surface solid and let shapes follow the flow. Below 0 only the source is left and above 1 only the target, carried on by the same
     flow: a caricature.
 
     Arguments:
         source, target: the splats at t = 0 and t = 1, world units.
         flow: Φ, fitted from the source's landmarks to the target's.
-        ramp: how opacities fade, a name of ``RAMPS``; ``"linear"`` is the paper's.
-        covariance: what the flow does to shape and shading, a name of ``COVARIANCES``;
-            ``"fixed"`` is the paper's.
+        ramp: how opacities fade, a name of ``RAMPS``.
+        covariance: what the flow does to shape and shading, a name of ``COVARIANCES``.
         ease: how time runs, a name of ``EASES``.
         stable_count: keep every splat of both in every frame, source before target, those of
             weight 0 all but transparent, for players that want one count and order. The ends
@@ -47,14 +47,16 @@ class Morph:
         target: Gaussians,
         flow: Flow,
         *,
-        ramp: str = "linear",
-        covariance: str = "fixed",
+        ramp: str = DEFAULT_RAMP,
+        covariance: str = DEFAULT_COVARIANCE,
         ease: str = "linear",
         stable_count: bool = False,
     ) -> None:
         self.source = source
         self.target = target
         self.flow = flow
+        self.ramp = ramp
+        self.covariance = covariance
         self.stable_count = stable_count
         self._ramp = chosen(RAMPS, ramp, "ramp")
         self._transport = chosen(COVARIANCES, covariance, "covariance")

@@ -134,6 +134,9 @@ RAMPS: Mapping[str, Ramp] = MappingProxyType(
 )
 """The ramps by name."""
 
+DEFAULT_RAMP = "calibrated"
+"""The ramp that keeps a surface solid; the paper's is ``linear``."""
+
 EASES: Mapping[str, Ease] = MappingProxyType(
     {"linear": lambda t: t, "smooth": smoothstep, "smoother": smootherstep}
 )

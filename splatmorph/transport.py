@@ -129,3 +129,6 @@ COVARIANCES: Mapping[str, Transport] = MappingProxyType(
 """By name, what travels. Each maps splats, a flow and k times to a function of 0 … k - 1 that
 gives the splats at that time, after one integration for all of them (and, beyond ``fixed``, one
 more for the Jacobians at the knots)."""
+
+DEFAULT_COVARIANCE = "full"
+"""What comes closest to a known warp; the paper's is ``fixed``."""

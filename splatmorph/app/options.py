@@ -112,9 +112,9 @@ class Blending:
     """How the halves of a morph are blended."""
 
     ramp: str | None = None
-    """How opacities fade; linear is the paper's."""
+    """How opacities fade: calibrated (the default), power or linear, the paper's."""
     covariance: str | None = None
-    """What the flow does to shape and shading; fixed is the paper's."""
+    """What the flow does to shape and shading: full (the default), rotate or fixed, the paper's."""
     ease: str | None = None
     """How time runs."""
 

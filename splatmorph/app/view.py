@@ -8,7 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import ColourOption, Out, Overwrite, RunPath
+from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, RunPath
 from splatmorph.errors import OptionError
 from splatmorph.view.page import MAX_SPLATS, write_page
 from splatmorph.view.subject import open_subject
@@ -21,8 +21,8 @@ def view(
     /,
     *,
     out: Out = None,
-    ramp: Annotated[str, Parameter(help="How opacities fade at first.")] = "linear",
-    covariance: Annotated[str, Parameter(help="What the flow does to shapes.")] = "fixed",
+    ramp: Annotated[str | None, Parameter(help="How opacities fade at first.")] = None,
+    covariance: Annotated[str | None, Parameter(help="What the flow does to shapes.")] = None,
     up: Annotated[str, Parameter(help="The axis that is up.", allow_leading_hyphen=True)] = "y",
     background: ColourOption = None,
     max_splats: Annotated[
@@ -44,7 +44,7 @@ def view(
     if out is not None and out.suffix.lower() not in PAGES:
         raise OptionError(f"{out}: the page is an .html (for pictures, see  splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
-    subject, report = open_subject(run, ramp=ramp, covariance=covariance)
+    subject, report = open_subject(run, **Blending(ramp, covariance).chosen())
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
 

@@ -88,7 +88,7 @@ class Viewer:
         self.playing = gui.add_checkbox("Play", initial_value=False)
         self.loop = gui.add_checkbox("Loop", initial_value=True)
         self.part = gui.add_dropdown("Show", ("source", "morph", "target"), initial_value="morph")
-        self.ramp = gui.add_dropdown("Ramp", tuple(RAMPS), initial_value=subject.ramp)
+        self.ramp = gui.add_dropdown("Ramp", tuple(RAMPS), initial_value=subject.morph.ramp)
         self.marks = gui.add_checkbox("Landmarks", initial_value=False)
         self.true = gui.add_checkbox(
             "Rasterizer's picture",
@@ -155,13 +155,13 @@ class Viewer:
                 morph.target,
                 morph.flow,
                 ramp=wanted.ramp,
-                covariance=self.subject.covariance,
+                covariance=morph.covariance,
             )
             return chosen.at(wanted.t)
         side, t = (
             (morph.source, wanted.t) if wanted.part == "source" else (morph.target, wanted.t - 1)
         )
-        return COVARIANCES[self.subject.covariance](side, morph.flow, [t])(0)
+        return COVARIANCES[morph.covariance](side, morph.flow, [t])(0)
 
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)

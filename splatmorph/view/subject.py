@@ -35,8 +35,6 @@ class Subject:
     target_points: Tensor = NO_POINTS
     """(k, 3) where they are on the target."""
     landmark_names: tuple[str, ...] = ()
-    ramp: str = "linear"
-    covariance: str = "fixed"
 
     @property
     def title(self) -> str:
@@ -48,10 +46,8 @@ class Subject:
         return bounds(self.morph.source, self.morph.target)
 
 
-def open_subject(
-    folder: str | Path, *, ramp: str = "linear", covariance: str = "fixed"
-) -> tuple[Subject, Mapping[str, Any]]:
-    """The subject of a run directory, and the report of its fit.
+def open_subject(folder: str | Path, **options: str) -> tuple[Subject, Mapping[str, Any]]:
+    """The subject of a run directory, and the report of its fit; ``options`` are ``Morph``'s.
 
     Raises:
         RunError: the directory is no run, or its inputs have moved or changed.
@@ -61,7 +57,7 @@ def open_subject(
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     (source, target), leg = load_inputs(run), run.legs[0]
-    morph = Morph(source.gaussians, target.gaussians, leg.flow, ramp=ramp, covariance=covariance)
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, **options)
     subject = Subject(
         morph,
         source.name,
@@ -69,8 +65,6 @@ def open_subject(
         leg.source_points,
         leg.target_points,
         leg.names,
-        ramp,
-        covariance,
     )
     return subject, leg.report
 

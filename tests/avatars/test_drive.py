@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -30,6 +31,11 @@ class Rigid(Flow):
     def trajectory(self, x: torch.Tensor, times: object) -> torch.Tensor:
         t = torch.as_tensor(times, dtype=x.dtype)
         return x + t[:, None, None] * self.shift.to(x)
+
+    def trajectory_jacobian(
+        self, x: torch.Tensor, times: Sequence[float]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.trajectory(x, times), torch.eye(3).to(x).expand(len(times), len(x), 3, 3)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +87,7 @@ def test_a_head_morphed_into_itself_talks_as_itself(
 ) -> None:
     flow = Rigid(torch.zeros(3))
     posed = load_avatar(anna, pose=ben, frame=2, flame=flame_folder).gaussians
-    drive = Drive(heads[0], heads[0], flow, track, whole_head=True)
+    drive = Drive(heads[0], heads[0], flow, track, whole_head=True, ramp="linear")
     (half,) = drive.sequence([0.5], [2])
     n = len(posed)
     for own in (half.select(torch.arange(n)), half.select(torch.arange(n, 2 * n))):

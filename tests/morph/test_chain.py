@@ -39,7 +39,7 @@ def test_a_chain_is_its_legs_in_any_order_of_times() -> None:
 
 def test_each_leg_is_integrated_once() -> None:
     flow = affine_flow()
-    list(Chain([Morph(A, B, flow)]).sequence([0.1, 0.7, 0.3]))
+    list(Chain([Morph(A, B, flow, covariance="fixed")]).sequence([0.1, 0.7, 0.3]))
     assert flow.calls == 2
 
 

@@ -44,9 +44,10 @@ def test_ends_are_the_inputs_bit_for_bit(ramp: str, covariance: str, ease: str) 
 
 @settings(deadline=None)
 @given(t=st.floats(0.001, 0.999))
-def test_is_the_papers_union(t: float) -> None:
+def test_linear_and_fixed_are_the_papers_union(t: float) -> None:
     flow = affine_flow()
-    source, target = halves(Morph(SOURCE, TARGET, flow).at(t))
+    paper = Morph(SOURCE, TARGET, flow, ramp="linear", covariance="fixed")
+    source, target = halves(paper.at(t))
     torch.testing.assert_close(source.means, flow.trajectory(SOURCE.means, [t])[0])
     torch.testing.assert_close(target.means, flow.trajectory(TARGET.means, [t - 1])[0])
     torch.testing.assert_close(source.opacities, (1 - t) * SOURCE.opacities)

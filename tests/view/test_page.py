@@ -73,13 +73,11 @@ def subject(n: int = 1200, **options) -> Subject:
     source, target = blob(n, 1, (0.7, 0.4, 0.2)), blob(n, 2, (0.2, 0.5, 0.7))
     flow = Swirl()
     points = source.means[:5].double()
-    chosen = {k: options[k] for k in ("ramp", "covariance") if k in options}
     return Subject(
-        Morph(source, target, flow, **chosen),
+        Morph(source, target, flow, **options),
         source_points=points,
         target_points=flow(points, 1.0),
         landmark_names=tuple(f"mark {i}" for i in range(5)),
-        **options,
     )
 
 
@@ -229,7 +227,7 @@ class TestPicture:
             assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(0.3))) > 35
 
     def test_a_part_alone_is_the_one_input_carried_along(self, browser, tmp_path):
-        shown = subject()
+        shown = subject(covariance="fixed")
         write_page(tmp_path / "a.html", shown, background=GROUND)
         browser.open(tmp_path / "a.html", "controls=0&t=0.4&part=target")
         target = shown.morph.target

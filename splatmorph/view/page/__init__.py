@@ -89,7 +89,7 @@ def write_page(
         "arrays": where,
         "source": {"name": subject.source_name, "count": len(source)},
         "target": {"name": subject.target_name, "count": len(target)},
-        "ramp": subject.ramp,
+        "ramp": subject.morph.ramp,
         "background": _hex(background),
         "facts": _facts(subject, source, target, report),
         "about": _about(subject, report),
@@ -153,7 +153,7 @@ def _facts(subject: Subject, source: Gaussians, target: Gaussians, report: PageR
 
 
 def _about(subject: Subject, report: PageReport) -> str:
-    shape = "shapes kept" if subject.covariance == "fixed" else "shapes carried by the flow"
+    shape = "shapes kept" if subject.morph.covariance == "fixed" else "shapes carried by the flow"
     return (
         f"Made by splatmorph {__version__}. Flow {subject.morph.flow.kind}, {shape}. "
         f"Every splat is within {report.error_px:.2f} pixels of its true path in a picture "

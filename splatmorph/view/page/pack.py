@@ -96,7 +96,7 @@ class _Motion:
     ) -> None:
         self.flow = subject.morph.flow
         self.sides = sides
-        self.covariance = subject.covariance
+        self.covariance = subject.morph.covariance
         finest = knot_times(FINEST)
         paths = [
             self.paths(side.means[:: max(1, len(side) // SAMPLE)], i, finest)
