@@ -7,8 +7,10 @@ Scenes are head-like: a shell of flat splats, strands of needles, a haze of floa
 programs disturb less. ``pixel threads`` is the same picture by one thread a pixel in Warp's own
 language. The limit is what blending would cost if every vector lane met a pixel it changes,
 at the speed measured on splats that cover the whole picture; ``useful`` is the share of the
-blending stage that this is. ``--prototype`` names a folder with an earlier implementation to
-measure in the same run; ``--heads`` adds a 120-frame turntable of the union of two real splats.
+blending stage that this is. ``--prototype`` names a folder with an earlier implementation, whose
+frames are drawn in turn with ours and whose CPU time is of all its threads; it draws no depth,
+keeps its picture and prepares its scene beforehand. ``--heads`` adds a 120-frame turntable of
+the union of two real splats.
 """
 
 import argparse
@@ -74,15 +76,17 @@ def portrait(size: int) -> Camera:
     return orbit(around, [23], elevation=6, width=size, height=size, fov=27)[0]
 
 
-def measure(draw: Callable[[], object], repeats: int = 15) -> tuple[float, float]:
-    """Median wall and processor time, ms, after two frames to warm up."""
-    wall, cpu = [], []
-    for _ in range(repeats + 2):
-        started = time.perf_counter(), time.process_time()
-        draw()
-        wall.append(time.perf_counter() - started[0])
-        cpu.append(time.process_time() - started[1])
-    return 1e3 * float(np.median(wall[2:])), 1e3 * float(np.median(cpu[2:]))
+def measure(*draws: Callable[[], object], repeats: int = 15) -> list[tuple[float, float]]:
+    """Median wall and processor time of each, ms, drawn in turn, after two rounds to warm up."""
+    wall = np.zeros((repeats + 2, len(draws)))
+    cpu = np.zeros_like(wall)
+    for i in range(repeats + 2):
+        for j, draw in enumerate(draws):
+            started = time.perf_counter(), time.process_time()
+            draw()
+            wall[i, j] = time.perf_counter() - started[0]
+            cpu[i, j] = time.process_time() - started[1]
+    return list(zip(*(1e3 * np.median(ms[2:], axis=0) for ms in (wall, cpu)), strict=True))
 
 
 def view_of(camera: Camera) -> kernels.View:
@@ -98,7 +102,7 @@ def nanoseconds_a_pair() -> float:
     scene["scales"][:] = 5.0
     scene["opacities"][:] = 0.006
     camera = portrait(size)
-    _, cpu = measure(lambda: rasterize(**scene, **vars(camera), threads=1), 5)
+    [(_, cpu)] = measure(lambda: rasterize(**scene, **vars(camera), threads=1), repeats=5)
     return 1e6 * cpu * native.stage_shares()["blend"] / (n * size * size)
 
 
@@ -139,8 +143,8 @@ def useful_pairs(scene: Scene, camera: Camera) -> float:
     return float(counts[..., 0].sum(dtype=np.float64))
 
 
-def prototype_of(folder: Path) -> Callable[[Scene, Camera], tuple[float, float]]:
-    """Measure the earlier implementation on the same scene and camera."""
+def prototype_of(folder: Path) -> Callable[[Scene, Camera], Callable[[], object]]:
+    """What draws a scene with the earlier implementation, which prepares it first."""
     sys.path.insert(0, str(folder))
     flags = wp.config.cpu_compiler_flags
     import v2
@@ -148,7 +152,7 @@ def prototype_of(folder: Path) -> Callable[[Scene, Camera], tuple[float, float]]
     tiles = v2.mk2(16, 64)
     wp.config.cpu_compiler_flags = flags
 
-    def run(scene: Scene, camera: Camera) -> tuple[float, float]:
+    def prepare(scene: Scene, camera: Camera) -> Callable[[], object]:
         harmonics = scene["sh"].transpose(0, 2, 1)
         renderer = v2.R2(
             {
@@ -171,21 +175,25 @@ def prototype_of(folder: Path) -> Callable[[Scene, Camera], tuple[float, float]]
             "cx": camera.K[0, 2],
             "cy": camera.K[1, 2],
         }
-        return measure(lambda: renderer(view))
+        return lambda: renderer(view)
 
-    return run
+    return prepare
 
 
-def row(scene: Scene, camera: Camera, pair: float) -> list[str]:
+def row(
+    scene: Scene, camera: Camera, pair: float, earlier: list[Callable[[], object]]
+) -> list[str]:
     view = vars(camera)
-    wall, _ = measure(lambda: rasterize(**scene, **view))
-    _, cpu = measure(lambda: rasterize(**scene, **view, threads=1))
+    (_, slow), (wall, _), *others, (_, cpu) = measure(
+        lambda: portable.render(scene, 3, [view_of(camera)], np.zeros(3), "cpu"), repeats=1
+    ) + measure(
+        lambda: rasterize(**scene, **view), *earlier, lambda: rasterize(**scene, **view, threads=1)
+    )
     shares = native.stage_shares()
     useful = 1e-6 * pair * useful_pairs(scene, camera) / (cpu * shares["blend"])
-    black = np.zeros(3)
-    _, slow = measure(lambda: portable.render(scene, 3, [view_of(camera)], black, "cpu"), 1)
     cells = [f"{len(scene['means'])}", f"{camera.width}", f"{wall:.1f}", f"{cpu:.1f}"]
-    return [*cells, *(f"{cpu * s:.2f}" for s in shares.values()), f"{useful:.0%}", f"{slow:.0f}"]
+    cells += [*(f"{cpu * s:.2f}" for s in shares.values()), f"{useful:.0%}", f"{slow:.0f}"]
+    return cells + [f"{ms:.1f}" for other in others for ms in other]
 
 
 def table(counts: list[int], prototype: Path | None) -> None:
@@ -198,8 +206,8 @@ def table(counts: list[int], prototype: Path | None) -> None:
         scene = head(n)
         for size in (512, 1024):
             camera = portrait(size)
-            cells = row(scene, camera, pair)
-            cells += [f"{ms:.1f}" for ms in earlier(scene, camera)] if earlier else []
+            others = [earlier(scene, camera)] if earlier else []
+            cells = row(scene, camera, pair, others)
             print("  ".join(f"{cell:>6}" for cell in cells), flush=True)
 
 
@@ -210,7 +218,7 @@ def twin() -> None:
     started = time.perf_counter()
     wanted = rasterize_reference(**scene, **vars(camera))
     seconds = time.perf_counter() - started
-    wall, _ = measure(lambda: rasterize(**scene, **vars(camera)))
+    [(wall, _)] = measure(lambda: rasterize(**scene, **vars(camera)))
     error = np.abs(rasterize(**scene, **vars(camera))[0] - wanted[0])
     print(f"2000 splats, 96x96: reference {seconds:.1f} s, ours {wall:.2f} ms, ", end="")
     print(f"max difference {error.max():.1e}, pixels above 1e-3: {(error > 1e-3).any(-1).sum()}")
