@@ -264,3 +264,19 @@ def test_the_paper_pair(shared_data: Path) -> None:
     finer.load_state_dict(flow.state_dict())
     p, q, _ = source.match(target)
     assert landmark_mse(finer, p, q) / report.scale**2 < 2e-8
+
+
+def test_landmarks_that_change_places_are_told_at_either_end() -> None:
+    generator = torch.Generator().manual_seed(0)
+    p = torch.rand(20, 3, generator=generator, dtype=torch.float64) * 2 - 1
+    q = p + 0.05
+    # Two that run through each other: no stationary flow lets them.
+    p[1], q[1] = q[0] + torch.tensor([0.0, 0.0, 4e-2]), p[0] + torch.tensor([0.0, 0.0, 4e-2])
+    names = tuple(f"mark {i}" for i in range(20))
+    flow = make_flow("node", 3)
+    report = fit(flow, Landmarks(p, names), Landmarks(q, names))
+    ends = torch.stack([flow(p, 1.0) - q, flow(q, -1.0) - p]).norm(dim=2).amax(0)
+    assert float(ends.max()) > 1e-2
+    assert next(iter(report.errors.values())) >= float(ends.max()) * (1 - 1e-9)
+    assert {"mark 0", "mark 1"} & set(list(report.errors)[:2])
+    assert "of 20 landmarks missed" in report.status and "worst mark" in report.status
