@@ -82,14 +82,14 @@ def flow_laws(flow: Flow, x: Tensor) -> FlowLaws:
     def gap(a: Tensor, b: Tensor) -> float:
         return float((a - b).norm(dim=1).max() / flow.scale) if len(a) else 0.0
 
-    half, whole = flow(x, 0.5), flow(x, 1.0)
+    half, most, whole = (flow(x, t) for t in (0.5, 0.63, 1.0))
     return FlowLaws(
         identity=gap(flow(x, 0.0), x),
         inverse=max(gap(flow(half, -0.5), x), gap(flow(whole, -1.0), x)),
         group=max(
             gap(flow(half, 0.5), whole),
-            gap(flow(whole, -0.37), flow(x, 0.63)),
-            gap(flow(half, 0.13), flow(x, 0.63)),
+            gap(flow(whole, -0.37), most),
+            gap(flow(half, 0.13), most),
         ),
     )
 
@@ -140,15 +140,15 @@ def energies(
     """Mean |∂v/∂x|² and, in frame units, |∂²v/∂x²|² over the box between two world corners.
 
     The second derivatives are central differences, ``step`` frame units apart, so that they are
-    had for every kind of flow.
+    had for every kind of flow. In the frame single precision tells six digits of either.
     """
     noise = torch.rand(ENERGY_SAMPLES, flow.dim, generator=generator, dtype=torch.float64)
-    x = low + noise.to(low) * (high - low)
-    first = float(flow.velocity_jacobian(x).square().sum((1, 2)).mean())
+    u = flow.to_unit(low + noise.to(low) * (high - low)).float()
+    first = float(flow.unit_velocity_jacobian(u).square().sum((1, 2)).mean())
     second = 0.0
-    for axis in torch.eye(flow.dim).to(x) * (step * flow.scale.to(x)):
-        bend = (flow.velocity_jacobian(x + axis) - flow.velocity_jacobian(x - axis)) / (2 * step)
-        second += float(bend.square().sum((1, 2)).mean())
+    for axis in torch.eye(flow.dim).to(u) * step:
+        ahead, behind = (flow.unit_velocity_jacobian(x) for x in (u + axis, u - axis))
+        second += float(((ahead - behind) / (2 * step)).square().sum((1, 2)).mean())
     return first, second
 
 
