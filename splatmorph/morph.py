@@ -24,8 +24,8 @@ class Morph:
     Both splats travel along one flow Φ that takes the source's shape to the target's: the source
     half stands at Φ(x, t), the target half at Φ(x, t - 1), and the ramp fades the one out and the
     other in. With ``ramp="linear"`` and ``covariance="fixed"`` that is the paper's morph; the
-    defaults keep the surface solid and let shapes follow the flow. Below 0 only the source is left and above 1 only the target, carried on by the same
-    flow: a caricature.
+    defaults keep the surface solid and let shapes follow the flow. Below 0 only the source is
+    left and above 1 only the target, carried on by the same flow: a caricature.
 
     Arguments:
         source, target: the splats at t = 0 and t = 1, world units.
