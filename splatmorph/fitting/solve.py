@@ -101,10 +101,10 @@ def solve_spline(
     near = [
         values
         for (values, _), residual in zip(tried, residuals, strict=True)
-        if residual <= COMPARABLE * min(residuals)
+        if residual <= (COMPARABLE if len(p) < MANY_LANDMARKS else 1.0) * min(residuals)
     ]
     if near:
-        interpolant.set_values(min(near, key=error))
+        interpolant.set_values(near[0] if len(near) == 1 else min(near, key=error))
 
 
 def path_error(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) -> float:
