@@ -120,7 +120,7 @@ def _print(measured: dict[str, Any]) -> None:
             f"{held['mean']:.4g}",
         )
     for landmark, error in list(measured["errors"].items())[:WORST_SHOWN]:
-        made.add_row(f"landmark {landmark} at t = 1", "", f"{error:.3g}")
+        made.add_row(f"landmark {landmark}, at its worst t", "", f"{error:.3g}")
     for law in ("identity", "inverse", "group"):
         made.add_row(f"{law} error, of the box", "", f"{laws[law]:.1e}")
     where = ", ".join(f"{value:.4g}" for value in measured["det_min_at"])

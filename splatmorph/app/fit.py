@@ -207,5 +207,5 @@ def _errors_of(report: FitReport) -> Any:
     )
     made.add_row("  in units of the box²", f"{report.mse_before:.2e}", f"{report.mse:.2e}")
     worst, error = next(iter(report.errors.items()))
-    made.add_row(f"worst landmark at t = 1: {worst}", "", f"{error:.3g}")
+    made.add_row(f"worst landmark, at its worst t: {worst}", "", f"{error:.3g}")
     return made

@@ -213,7 +213,6 @@ def mark_jaw(head: Head, marks: Marks) -> None:
     for name, t in (("angle", 0.0), ("back", 0.3), ("middle", 0.6), ("front", 0.88)):
         core = gonion + t * (corner - gonion) + out * a.jaw_radius * (1 - 0.2 * t)
         marks.add(f"jaw_{name}", Sight(tuple(core), head))
-    marks.add("jaw_root", round_axis(head, 84, -48))
 
 
 def mark_ears(head: Head, marks: Marks) -> None:
