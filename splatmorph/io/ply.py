@@ -29,7 +29,10 @@ REQUIRED = (*MEANS, *COLOUR, "opacity", *SCALES, *QUATS)
 BINDING = "binding_0"
 
 # torch has little arithmetic for wide unsigned integers; these hold every value of theirs.
-EXTRA_TYPES: dict[Any, np.dtype[Any]] = {np.dtype("u2"): np.dtype("i4"), np.dtype("u4"): np.dtype("f8")}
+EXTRA_TYPES: dict[Any, np.dtype[Any]] = {
+    np.dtype("u2"): np.dtype("i4"),
+    np.dtype("u4"): np.dtype("f8"),
+}
 
 
 def read_ply(path: str | Path) -> Gaussians:

@@ -46,7 +46,7 @@ class Subject:
         return bounds(self.morph.source, self.morph.target)
 
 
-def open_subject(folder: str | Path, **options: str) -> tuple[Subject, Mapping[str, Any]]:
+def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[str, Any]]:
     """The subject of a run directory, and the report of its fit; ``options`` are ``Morph``'s.
 
     Raises:
