@@ -97,16 +97,18 @@ def render(
     with console.progress("rendering") as update:
 
         def pictures() -> Iterator[Any]:
-            for i, (splat, camera) in enumerate(zip(shot.splats, cameras, strict=True)):
+            for splat, camera in zip(shot.splats, cameras, strict=True):
                 yield render_frame(
                     splat, camera, background=background, device=choose_device(device)
                 )
-                update(i + 1, count, "")
+
+        def on_frame(done: int, rate: float) -> None:
+            update(done, count, f"{rate:.0f} frames a second")
 
         if kind in STILLS:
             written = write_image(path, next(pictures()))
         else:
-            written = write_video(path, pictures(), fps)
+            written = write_video(path, pictures(), fps, on_frame=on_frame)
     console.say(f"wrote {written}")
 
 
