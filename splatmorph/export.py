@@ -13,7 +13,7 @@ from splatmorph import io
 from splatmorph.chain import Chain
 from splatmorph.errors import OutputExistsError, WriteError
 from splatmorph.gaussians import Gaussians
-from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
+from splatmorph.io.atomic import make_folder, remove_partials, write_json
 from splatmorph.morph import Morph
 
 INDEX = "frames.json"
@@ -80,7 +80,7 @@ def export_sequence(
         comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
         io.write(files[i], kept, [comment])
         written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept)}
-        _write_json(folder / PLAN, plan | {"done": done | written})
+        write_json(folder / PLAN, plan | {"done": done | written})
         if on_frame is not None:
             on_frame(len(done) + count + 1)
     counts = done | written
@@ -88,7 +88,7 @@ def export_sequence(
         {"file": f.name, "t": t} | counts[i]
         for i, (f, t) in enumerate(zip(files, times, strict=True))
     ]
-    _write_json(folder / INDEX, {"splats": list(names), "frames": rows})
+    write_json(folder / INDEX, {"splats": list(names), "frames": rows})
     (folder / PLAN).unlink(missing_ok=True)
     return Exported(folder, files, sum(counts[i]["pruned"] for i in range(len(files))), len(done))
 
@@ -117,11 +117,6 @@ def _done_before(
 
 def _drawn(gaussians: Gaussians) -> Gaussians:
     return gaussians.select(gaussians.opacities >= FAINTEST_DRAWN)
-
-
-def _write_json(path: Path, value: dict[str, Any]) -> None:
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
 def _read_json(path: Path) -> dict[str, Any] | None:

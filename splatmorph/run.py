@@ -31,7 +31,7 @@ from splatmorph.fitting import FitReport, FitState
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
 from splatmorph.inputs import Input, fingerprint, load_splat
-from splatmorph.io.atomic import atomic_write, make_folder, remove_partials
+from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
 from splatmorph.morph import Morph
 
 FORMAT = 1
@@ -107,7 +107,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
             writer.writerow(["leg", *(f.name for f in dataclasses.fields(rows[0][1]))])
         for i, entry in rows:
             writer.writerow([i, *dataclasses.astuple(entry)])
-    _write_json(folder / REPORT, {"legs": [dict(leg.report) for leg in run.legs]})
+    write_json(folder / REPORT, {"legs": [dict(leg.report) for leg in run.legs]})
     manifest = {
         "format": FORMAT,
         "inputs": [
@@ -136,7 +136,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
             "python": platform.python_version(),
         },
     }
-    _write_json(folder / MANIFEST, manifest)
+    write_json(folder / MANIFEST, manifest)
     if not any(report.interrupted for report in reports):
         for leftover in folder.glob(STATE.format("*")):
             leftover.unlink()
@@ -295,11 +295,6 @@ def _load_again(source: Source) -> Input:
             "fit again"
         )
     return loaded
-
-
-def _write_json(path: Path, value: Mapping[str, Any]) -> None:
-    with atomic_write(path) as partial:
-        partial.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
 
 
 def _read_json(folder: Path, name: str) -> dict[str, Any]:
