@@ -7,6 +7,9 @@ rotations, which keep the relative accuracy of the smallest scale (needles, panc
 Σ would lose. They start from axes that are nearly right, R or those of the moment before, and
 turn by the least angle, so axes neither flip nor change places along a sequence.
 
+``carried_shapes`` is the whole way of splats under a path of Jacobians, and the plain twin of the
+C++ in ``native/shapes.h``.
+
 Matrices here have their indices first and the splats last, (3, 3, n), in float64: every line is a
 pass over contiguous memory.
 """
@@ -15,6 +18,8 @@ from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from splatmorph.quaternions import from_matrices, product
 
 PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Two axes that a Jacobi rotation mixes, and the one it turns about."""
@@ -27,6 +32,40 @@ LEAST = -30.0
 
 SWEEPS = 12
 """Upper bound of Jacobi sweeps and of Newton steps; both converge quadratically in 2 to 6."""
+
+NEWTON_STEP = 1e-4
+"""A Newton step so small is the last: the error after it is about half its square."""
+
+
+def carried_shapes(
+    quats: Tensor, log_scales: Tensor, jacobians: Tensor, *, stretch: bool
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Shapes of Gaussians along a path.
+
+    Arguments:
+        quats, log_scales: (n, 4) and (n, 3), where the path begins.
+        jacobians: (k, n, 3, 3), of the way from there to each of k moments in their order.
+        stretch: whether Σ becomes J Σ Jᵀ, or with P from J = P H only P Σ Pᵀ.
+
+    Returns:
+        at each moment the quaternions (k, n, 4), the log scales (k, n, 3), and P as unit
+        quaternions (k, n, 4). None jumps or changes its sign from one moment to the next.
+    """
+    start, scales = quats.double(), log_scales.double()
+    axes, pushed = start, scales
+    turn = start.new_tensor([1.0, 0.0, 0.0, 0.0])
+    moments = []
+    for jacobian in jacobians:
+        jacobian = jacobian.double().permute(1, 2, 0).contiguous()
+        rotation = polar_rotation(jacobian)
+        turned = from_matrices(rotation.permute(2, 0, 1))
+        turn = turned * torch.where((turned * turn).sum(-1, keepdim=True) < 0, -1, 1)
+        if stretch:
+            stretching = (rotation[:, :, None] * jacobian[:, None]).sum(0)
+            axes, pushed = (x.T for x in stretched_axes(stretching, start.T, scales.T, axes.T))
+        moments.append((product(turn, axes), pushed, turn))
+    found, grown, turns = (torch.stack(each).to(quats) for each in zip(*moments, strict=True))
+    return found, grown, turns
 
 
 def rotation_matrices(quats: Tensor) -> Tensor:
@@ -55,8 +94,7 @@ def polar_rotation(jacobians: Tensor) -> Tensor:
         following = 0.5 * (rotation + cofactors / determinant)
         change = (following - rotation).abs().nan_to_num(0).amax() if len(determinant) else 0
         rotation = following
-        # The error after a step is about half the square of the step.
-        if change < 1e-4:
+        if change < NEWTON_STEP:
             break
     identity = torch.eye(3).to(rotation)[:, :, None]
     return torch.where(rotation.isfinite().all(0).all(0), rotation, identity)

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from splatmorph.covariance import polar_rotation, rotation_matrices, stretched_axes
+from splatmorph.covariance import carried_shapes, rotation_matrices
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.quaternions import from_matrices, product
 from splatmorph.sh import rotate_sh
 
 KNOTS = 8
 """Moments a unit of t at which shapes are worked out; in between they are interpolated."""
 
-BLOCK = 1 << 13
+BLOCK = 1 << 15
 """Splats whose Jacobians are held at a time."""
+
+NATIVE_FROM = 2000
+"""Splats from which the C++ kernel is worth loading."""
 
 Frames = Callable[[int], Gaussians]
 Transport = Callable[[Gaussians, Flow, Sequence[float]], Frames]
@@ -44,79 +47,84 @@ def move_shapes(
     shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
     moved = move_centers(gaussians, flow, times)
-    shapes = {
-        sign: _shapes_along(gaussians, flow, sign, max(sign * t for t in times), stretch)
-        for sign in (1, -1)
-        if any(sign * t > 0 for t in times)
+    reaches = {sign: max(sign * t for t in times) for sign in (1, -1)}
+    paths = {
+        sign: _shapes_along(gaussians, flow, sign, reach, stretch)
+        for sign, reach in reaches.items()
+        if reach > 0
     }
 
     def frame(k: int) -> Gaussians:
-        shape = _interpolated(shapes[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
-        quats, pushed, turns = shape[:, :4], shape[:, 4:7], shape[:, 7:]
-        turned = replace(moved(k), quats=quats)
-        if stretch:
-            turned = replace(turned, log_scales=pushed)
-        if gaussians.sh_degree:
-            rotations = rotation_matrices(turns.T).permute(2, 0, 1)
-            turned = replace(turned, sh=rotate_sh(gaussians.sh, rotations))
-        return turned
+        shapes = _interpolated(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
+        turns = shapes.pop("turns", None)
+        turned = replace(moved(k), **shapes)
+        if turns is None:
+            return turned
+        rotations = rotation_matrices(turns.T).permute(2, 0, 1)
+        return replace(turned, sh=rotate_sh(gaussians.sh, rotations))
 
     return frame
 
 
 def _shapes_along(
     gaussians: Gaussians, flow: Flow, sign: int, reach: float, stretch: bool
-) -> Tensor:
-    """Shapes from t = 0 to ``reach`` and one knot more, in one direction of time: (knots, n, c).
+) -> dict[str, Tensor]:
+    """Shapes from t = 0 to ``reach`` and one knot more, in one direction of time.
 
-    A shape is a quaternion and log scales, and for colours that turn the rotation P as a
-    quaternion. The knot more is for the slope there; but within one unit of t none is beyond it,
-    where baselines that are no flows end.
+    By the name of what changes, (knots, n, c): the quaternions, the log scales where they do,
+    and for colours that turn the rotation P as a quaternion. The knot more is for the slope
+    there; but within one unit of t none is beyond it, where baselines that are no flows end.
     """
     last = max(2, math.ceil(reach * KNOTS) + 1)
     stops = [sign * k / KNOTS for k in range(1, (min(last, KNOTS) if reach <= 1 else last) + 1)]
-    channels = 11 if gaussians.sh_degree else 7
-    shapes = gaussians.quats.new_empty(1 + len(stops), len(gaussians), channels)
-    for start in range(0, len(gaussians), BLOCK):
-        block = slice(start, start + BLOCK)
+    quats, log_scales = gaussians.quats, gaussians.log_scales
+    unturned = quats.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(quats)
+    starts = {"quats": quats, "log_scales": log_scales, "turns": unturned}
+    changing = {"quats": True, "log_scales": stretch, "turns": gaussians.sh_degree > 0}
+    paths = {
+        name: start.new_empty(1 + len(stops), *start.shape)
+        for name, start in starts.items()
+        if changing[name]
+    }
+    for name, path in paths.items():
+        path[0] = starts[name]
+    for begin in range(0, len(gaussians), BLOCK):
+        block = slice(begin, begin + BLOCK)
         _, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
-        quats, log_scales = gaussians.quats[block], gaussians.log_scales[block]
-        for k, shape in enumerate(_carried(quats, log_scales, jacobians, stretch)):
-            shapes[k, block] = shape[:, :channels]
-    return shapes
+        carried = _carrier(quats, jacobians)(
+            quats[block], log_scales[block], jacobians, stretch=stretch
+        )
+        for name, shapes in zip(starts, carried, strict=True):
+            if name in paths:
+                paths[name][1:, block] = shapes
+    return paths
 
 
-def _carried(
-    quats: Tensor, log_scales: Tensor, jacobians: Tensor, stretch: bool
-) -> Iterator[Tensor]:
-    """Shapes (n, 11) at t = 0 and after the Jacobians (k, n, 3, 3), which lead away from it."""
-    start, scales = quats.double(), log_scales.double()
-    axes, pushed, turn = start, scales, start.new_tensor([1.0, 0, 0, 0]).expand_as(start)
-    yield torch.cat([axes, pushed, turn], 1)
-    for jacobian in jacobians:
-        jacobian = jacobian.double().permute(1, 2, 0).contiguous()
-        rotation = polar_rotation(jacobian)
-        turned = from_matrices(rotation.permute(2, 0, 1))
-        turn = turned * torch.where((turned * turn).sum(-1, keepdim=True) < 0, -1, 1)
-        if stretch:
-            # The search begins at the axes of the moment before, so they neither flip nor swap.
-            stretching = (rotation[:, :, None] * jacobian[:, None]).sum(0)
-            axes, pushed = (x.T for x in stretched_axes(stretching, start.T, scales.T, axes.T))
-        yield torch.cat([product(turn, axes), pushed, turn], 1)
+def _carrier(quats: Tensor, jacobians: Tensor) -> Callable[..., tuple[Tensor, Tensor, Tensor]]:
+    """``carried_shapes`` in C++ where that is worth loading, or its plain twin."""
+    if len(quats) < NATIVE_FROM or quats.device.type != "cpu" or quats.dtype != jacobians.dtype:
+        return carried_shapes
+    from splatmorph.native import kernel
+
+    return kernel.carried_shapes if quats.dtype in kernel.STORED else carried_shapes
 
 
-def _interpolated(shapes: Tensor, place: float) -> Tensor:
-    """Shapes (knots, n, c) at ``place`` in knots, on the cubics with the slopes of neighbours."""
-    left = min(int(place), len(shapes) - 2)
+def _interpolated(paths: Mapping[str, Tensor], place: float) -> dict[str, Any]:
+    """Paths (knots, n, c) at ``place`` in knots, on cubics with the slopes of neighbours."""
+    knots = len(next(iter(paths.values())))
+    left = min(int(place), knots - 2)
     s = place - left
     # The cubic is linear in the knots: its weights are its values for unit vectors.
-    units = torch.eye(len(shapes), dtype=torch.float64)
+    units = torch.eye(knots, dtype=torch.float64)
     (slopes,) = torch.gradient(units, dim=0, edge_order=2)
     rise = units[left + 1] - units[left]
     bend = (1 - s) * (slopes[left] - rise) + s * (rise - slopes[left + 1])
     weights = units[left] + s * (rise + (1 - s) * bend)
     near = slice(max(left - 1, 0), left + 3)
-    return (weights[near].to(shapes) @ shapes[near].flatten(1)).unflatten(0, shapes.shape[1:])
+    return {
+        name: (weights[near].to(path) @ path[near].flatten(1)).unflatten(0, path.shape[1:])
+        for name, path in paths.items()
+    }
 
 
 COVARIANCES: Mapping[str, Transport] = MappingProxyType(
