@@ -42,14 +42,23 @@ class Coupling(nn.Module):
 
     def push(self, jet: Jet) -> Jet:
         """``forward`` with derivatives."""
+        if self.network.takes_natively(jet):
+            return self._push_natively(jet, LARGEST_LOG_SCALE)
         log_scale, shift = self._jets(jet, 1.0)
         return self._join(jet, jet.columns([self.moved]) * log_scale.activate(_exp) + shift)
 
     def push_inverse(self, jet: Jet) -> Jet:
         """``inverse`` with derivatives."""
+        if self.network.takes_natively(jet):
+            return self._push_natively(jet, -LARGEST_LOG_SCALE)
         log_scale, shift = self._jets(jet, -1.0)
         difference = jet.columns([self.moved]) + shift.activate(_negative)
         return self._join(jet, difference * log_scale.activate(_exp))
+
+    def _push_natively(self, jet: Jet, bound: float) -> Jet:
+        from splatmorph.flows.native.jet import push_coupling
+
+        return push_coupling(jet, self.network, self.moved, bound)
 
     def _terms(self, z: Tensor) -> tuple[Tensor, Tensor]:
         raw = self.network(z[..., self.kept])

@@ -1,1 +1,1 @@
-"""The flow of a field, integrated in C++ that Warp compiles for this CPU."""
+"""C++ that Warp compiles for this CPU: the paths of a field, and networks with derivatives."""

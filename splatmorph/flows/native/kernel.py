@@ -4,42 +4,45 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
 import torch
 
 from renderer.quietly import wp
+from splatmorph.flows.native.threads import on_all_threads
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
 MOST_WIDTH = 256
 """Widest network that ``path.h`` has room for."""
 WIDTH_STEP = 4
+WORTH_SHARING = 64
+"""Points from which a second thread pays."""
 
 
 @cache
 def _kernel(dim: int, jacobian: bool):
-    source = Path(__file__).with_name("path.h").read_text(encoding="utf-8")
+    folder = Path(__file__).parent
+    lanes, path = ((folder / name).read_text(encoding="utf-8") for name in ("lanes.h", "path.h"))
     constants = f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n"
 
-    @wp.func_native(constants + source)
+    @wp.func_native(constants + lanes + path)
     def integrate_natively(
         starts: wp.array(dtype=float),
         affine: wp.array(dtype=float),
         spline: wp.array(dtype=float),
         network: wp.array(dtype=float),
+        states: wp.array(dtype=float),
+        rates: wp.array(dtype=float),
         count: int,
         width: int,
         rounding_squared: float,
         h: float,
         steps: int,
         every: int,
-        part: int,
         parts: int,
-        states: wp.array(dtype=float),
-        rates: wp.array(dtype=float),
+        part: int,
     ): ...
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -48,32 +51,32 @@ def _kernel(dim: int, jacobian: bool):
         affine: wp.array(dtype=float),
         spline: wp.array(dtype=float),
         network: wp.array(dtype=float),
+        states: wp.array(dtype=float),
+        rates: wp.array(dtype=float),
         count: int,
         width: int,
         rounding_squared: float,
         h: float,
         steps: int,
         every: int,
-        part: int,
         parts: int,
-        states: wp.array(dtype=float),
-        rates: wp.array(dtype=float),
+        part: int,
     ):
         integrate_natively(
             starts,
             affine,
             spline,
             network,
+            states,
+            rates,
             count,
             width,
             rounding_squared,
             h,
             steps,
             every,
-            part,
             parts,
-            states,
-            rates,
+            part,
         )
 
     return integrate
@@ -117,18 +120,8 @@ def knots(
     outputs = [wp.from_torch(tensor.flatten()) for tensor in (states, rates)]
     width = 0 if field is base else field.width
     scalars = [len(base.centers), width, base.rounding**2, h, steps, int(every)]
-    kernel = _kernel(dim, jacobian)
-    parts = 1 if count < 64 else torch.get_num_threads()
-    kernel.module.load(wp.get_device("cpu"))
-
-    def launch(part: int) -> None:
-        wp.launch(kernel, dim=1, inputs=[*arrays, *scalars, part, parts, *outputs], device="cpu")
-
-    if parts == 1:
-        launch(0)
-    else:
-        with ThreadPoolExecutor(parts) as pool:
-            list(pool.map(launch, range(parts)))
+    parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
+    on_all_threads(_kernel(dim, jacobian), [*arrays, *outputs, *scalars], parts)
     return states, rates
 
 

@@ -1,9 +1,7 @@
 // Runge-Kutta paths of dx/dt = v(x), 16 points at a time; the plain twin is flows/node.py.
 // Compiled once for each (DIM, JACOBIAN): the state of a point is x, and ∂Φ/∂x where asked.
 // v = affine part + spline over `count` centers + a SIREN with two hidden layers of `width`.
-constexpr int LANES = 16, STATE = DIM + JACOBIAN * DIM * DIM;
-typedef float Floats __attribute__((ext_vector_type(16)));
-typedef int Ints __attribute__((ext_vector_type(16)));
+constexpr int STATE = DIM + JACOBIAN * DIM * DIM;
 
 auto logarithm = [](Floats x) -> Floats {
     // Cephes' polynomial on [sqrt(1/2), sqrt(2)): relative error 1e-7.
@@ -18,21 +16,6 @@ auto logarithm = [](Floats x) -> Floats {
     for (int i = 0; i < 8; ++i) p = p * f + c[i];
     const Floats e = __builtin_convertvector(exponent, Floats);
     return e * 0.693359375f + (f * ff * p + (e * -2.12194440e-4f - 0.5f * ff) + f);
-};
-
-auto sine = [](Floats x) -> Floats {
-    // x = nπ + r, |r| ≤ π/2: sin x = (-1)ⁿ sin r, with Taylor's odd polynomial to r¹¹ (6e-8).
-    #pragma clang fp contract(fast)
-    const Floats n = __builtin_elementwise_floor(x * 0.318309886f + 0.5f);
-    const Floats r = (x - n * 3.140625f) - n * 9.67653589793e-4f, s = r * r;
-    Floats p = s * -2.5052108e-8f + 2.7557319e-6f;
-    p = p * s + -1.9841270e-4f;
-    p = p * s + 8.3333333e-3f;
-    p = p * s + -1.6666667e-1f;
-    p = r + r * s * p;
-    const Ints odd = __builtin_convertvector(n, Ints) << 31;
-    const Ints bits = *(Ints*)&p ^ odd;
-    return *(Floats*)&bits;
 };
 
 // The network is stored with its ω multiplied into the weights.
