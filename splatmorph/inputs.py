@@ -35,7 +35,7 @@ class Input:
     @property
     def name(self) -> str:
         """A short name for files and titles."""
-        return self.avatar.name if self.avatar else self.path.stem
+        return self.avatar.name if self.avatar else io.stem_of(self.path)
 
     @property
     def sha256(self) -> str:

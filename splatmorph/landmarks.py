@@ -14,6 +14,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
+from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write
 
 FEWEST = {2: 3, 3: 4}
@@ -104,7 +105,7 @@ class Landmarks:
         """The landmark file that belongs to the input ``path``: ``<stem>.landmarks.*``."""
         path = Path(path)
         for extension in _READERS:
-            candidate = path.with_name(f"{path.stem}.landmarks{extension}")
+            candidate = path.with_name(f"{stem_of(path)}.landmarks{extension}")
             if candidate.is_file():
                 return candidate
         return None

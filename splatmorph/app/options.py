@@ -10,7 +10,7 @@ from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
-Splat = Annotated[Path, Parameter(help="A splat (.ply) or an avatar's directory.")]
+Splat = Annotated[Path, Parameter(help="A splat file or an avatar's directory.")]
 RunPath = Annotated[Path, Parameter(help="The run directory that `splatmorph fit` wrote.")]
 Out = Annotated[Path | None, Parameter(name=["--out", "-o"], help="Where to write.")]
 Overwrite = Annotated[

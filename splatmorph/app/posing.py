@@ -84,7 +84,7 @@ def landmarks_of(loaded: Input) -> Landmarks:
     if loaded.landmarks is None:
         raise LandmarkError(
             f"{loaded.path} has no landmarks beside it: put them in "
-            f'{loaded.path.stem}.landmarks.json ({{"points": {{"nose": [x, y, z], …}}}}), or give '
+            f'{loaded.name}.landmarks.json ({{"points": {{"nose": [x, y, z], …}}}}), or give '
             "--source-landmarks and --target-landmarks"
         )
     return loaded.landmarks

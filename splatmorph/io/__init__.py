@@ -2,15 +2,40 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.io.compressed_ply import write_compressed_ply
 from splatmorph.io.ply import read_ply, write_ply
+from splatmorph.io.splat import read_splat, write_splat
+from splatmorph.io.spz import read_spz, write_spz
 
-READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply}
-WRITERS: dict[str, Callable[[Path, Gaussians, Sequence[str]], None]] = {".ply": write_ply}
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of splat file."""
+
+    read: Callable[[Path], Gaussians]
+    write: Callable[[Path, Gaussians, Sequence[str]], None]
+    loses: str = ""
+    """What writing costs beside the positions; empty where reading gives back every bit."""
+
+
+ROUNDED = "rotations, scales, colours and opacities are rounded"
+FORMATS = {
+    ".ply": Format(read_ply, write_ply),
+    ".compressed.ply": Format(read_ply, write_compressed_ply, ROUNDED),
+    ".splat": Format(
+        read_splat,
+        write_splat,
+        "rotations, colours and opacities are rounded, colour that depends on the view is left out",
+    ),
+    ".spz": Format(read_spz, write_spz, ROUNDED),
+}
+"""By extension."""
 
 
 def read(path: str | Path) -> Gaussians:
@@ -26,14 +51,14 @@ def read(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     if path.is_dir():
-        raise ReadError(f"{path} is a directory, expected a splat file ({_known(READERS)})")
-    if path.suffix.lower() not in READERS:
-        raise ReadError(f"{path} has an extension we don't read; we read {_known(READERS)}")
-    return READERS[path.suffix.lower()](path)
+        raise ReadError(f"{path} is a directory, expected a splat file ({_known()})")
+    if extension_of(path) not in FORMATS:
+        raise ReadError(f"{path} has an extension we don't read; we read {_known()}")
+    return FORMATS[extension_of(path)].read(path)
 
 
 def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
-    """Write a splat, whole or not at all.
+    """Write a splat, whole or not at all. Only ``.ply`` keeps every bit; see ``FORMATS``.
 
     Args:
         path: the extension names the format.
@@ -42,16 +67,30 @@ def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) 
 
     Raises:
         OptionError: no writer for this extension.
-        WriteError: the file can't be written; one that was there before is untouched.
+        WriteError: the file can't be written, or the format can't hold the splat; a file that
+            was there before is untouched.
     """
     path = Path(path)
-    if path.suffix.lower() not in WRITERS:
-        raise OptionError(f"{path} has an extension we don't write; we write {_known(WRITERS)}")
-    WRITERS[path.suffix.lower()](path, gaussians, comments)
+    if extension_of(path) not in FORMATS:
+        raise OptionError(f"{path} has an extension we don't write; we write {_known()}")
+    FORMATS[extension_of(path)].write(path, gaussians, comments)
 
 
-def _known(registry: Mapping[str, object]) -> str:
-    return ", ".join(sorted(registry))
+def extension_of(path: str | Path) -> str:
+    """The extension of a file, lower case: the longest that is a format's, else its last."""
+    name = Path(path).name.lower()
+    ours = [extension for extension in FORMATS if name.endswith(extension)]
+    return max(ours, key=len, default=Path(name).suffix)
 
 
-__all__ = ["READERS", "WRITERS", "read", "write"]
+def stem_of(path: str | Path) -> str:
+    """The name of a file without what :func:`extension_of` gives."""
+    name = Path(path).name
+    return name[: len(name) - len(extension_of(path))]
+
+
+def _known() -> str:
+    return ", ".join(sorted(FORMATS))
+
+
+__all__ = ["FORMATS", "Format", "extension_of", "read", "stem_of", "write"]

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from splatmorph.errors import ReadError
+from splatmorph.errors import ReadError, SplatmorphError
 from splatmorph.gaussians import Gaussians
 
 # Below this many splats, values that happen to lie in [0, 1] prove nothing.
@@ -23,13 +23,7 @@ def check_stored(gaussians: Gaussians, path: str | Path) -> None:
         ReadError: non-finite values, zero quaternions, or opacities and scales that were stored
             already activated. The line says how many and which is the first.
     """
-    _check_finite(gaussians, path)
-    zero = (gaussians.quats == 0).all(dim=1)
-    if zero.any():
-        raise ReadError(
-            f"{path} has {_count(zero)} with a zero quaternion (rot_0..3), which is no rotation: "
-            "expected any length but 0; delete those splats or set them to 1 0 0 0"
-        )
+    check_drawable(gaussians, path)
     if len(gaussians) < ENOUGH_TO_JUDGE:
         return
     logits = gaussians.opacity_logits
@@ -59,7 +53,25 @@ def scales_look_activated(gaussians: Gaussians) -> bool:
     return bool(stored.median().exp() > LARGEST_TYPICAL_SPLAT * extent)
 
 
-def _check_finite(gaussians: Gaussians, path: str | Path) -> None:
+def check_drawable(
+    gaussians: Gaussians, owner: str | Path, error: type[SplatmorphError] = ReadError
+) -> None:
+    """Refuse values that no renderer can show; ``owner`` begins the line.
+
+    Raises:
+        SplatmorphError: as ``error``: non-finite values or zero quaternions. The line says how
+            many and which is the first.
+    """
+    _check_finite(gaussians, owner, error)
+    zero = (gaussians.quats == 0).all(dim=1)
+    if zero.any():
+        raise error(
+            f"{owner} has {_count(zero)} with a zero quaternion (rot_0..3), which is no rotation: "
+            "expected any length but 0; delete those splats or set them to 1 0 0 0"
+        )
+
+
+def _check_finite(gaussians: Gaussians, owner: str | Path, error: type[SplatmorphError]) -> None:
     fields = {
         "positions (x y z)": gaussians.means,
         "quaternions (rot_0..3)": gaussians.quats,
@@ -78,8 +90,8 @@ def _check_finite(gaussians: Gaussians, path: str | Path) -> None:
                 if what == "opacities"
                 else "delete those splats (SuperSplat does it on import) or export it again"
             )
-            raise ReadError(
-                f"{path} has {_count(bad)} with NaN or infinite {what}, expected finite: {remedy}"
+            raise error(
+                f"{owner} has {_count(bad)} with NaN or infinite {what}, expected finite: {remedy}"
             )
 
 

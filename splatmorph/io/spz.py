@@ -1,0 +1,217 @@
+"""``.spz`` of Niantic: every attribute of all splats in few bits, one attribute after the other.
+
+A header, then positions in 24-bit fixed point, and in bytes opacities, colours, log scales,
+quaternions and harmonics. Version 3, which is written here, and 2 are one gzip stream; version 4
+is a stream of zstandard for each attribute. https://github.com/nianticlabs/spz
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+import struct
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import accumulate, pairwise
+from pathlib import Path
+
+import numpy as np
+
+from splatmorph.errors import ReadError, WriteError
+from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
+from splatmorph.io.atomic import atomic_write
+from splatmorph.io.packed import (
+    Array,
+    Bytes,
+    as_bytes,
+    drop_largest,
+    opacity_bytes,
+    read_bytes,
+    restore_largest,
+    stored_arrays,
+    unpacked,
+)
+
+MAGIC = b"NGSP"
+HEADER = struct.Struct("<4sIIBBBB")
+GZIP = b"\x1f\x8b"
+READ, WRITTEN, LAST_GZIP, LAST_THREE_BYTE_QUATS = (2, 3, 4), 3, 3, 2
+STREAM = struct.Struct("<QQ")
+STREAMS_AT = 16
+
+LARGEST_FIXED = 2**23 - 1
+# Some readers refuse others.
+FRACTION_BITS = range(1, 25)
+COLOUR_RANGE = 0.15
+"""Of a byte for each unit of f_dc, about half of SH0: colours may leave 0 to 1."""
+QUAT_BITS, QUAT_STEPS = 10, 511
+# As the reference rounds them: coarser than a byte, for the sake of the compression.
+SH_STEPS = (8, 16, 16)
+HIGHEST_DEGREE = len(SH_STEPS)
+"""Degree 4 came with version 4."""
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a file holds."""
+
+    version: int
+    splats: int
+    degree: int
+    fraction_bits: int
+    """Of the positions."""
+    streams: int
+    """Of version 4; 0 before."""
+
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Bytes of positions, opacities, colours, scales, quaternions and harmonics."""
+        quat = 3 if self.version <= LAST_THREE_BYTE_QUATS else 4
+        each = (9, 1, 3, 3, quat, 3 * ((self.degree + 1) ** 2 - 1))
+        return tuple(self.splats * size for size in each)
+
+
+def read_spz(path: str | Path) -> Gaussians:
+    """Read an ``.spz`` file of version 2, 3 or 4; axes stay as they are.
+
+    Raises:
+        ReadError: see :func:`splatmorph.io.read`.
+    """
+    path = Path(path)
+    data = read_bytes(path)
+    if data.startswith(GZIP):
+        try:
+            data = gzip.decompress(data)
+        except (EOFError, OSError, zlib.error) as error:
+            raise _broken(path) from error
+    header = _header(data, path)
+    body = data[HEADER.size :] if header.version <= LAST_GZIP else _inflated(data, header, path)
+    if len(body) < sum(header.sizes):
+        raise _broken(path)
+    ends = pairwise(accumulate(header.sizes, initial=0))
+    parts = [np.frombuffer(body[begin:end], np.uint8) for begin, end in ends]
+    n = header.splats
+    positions, alphas, colours, scales, quats, harmonics = (part.reshape(n, -1) for part in parts)
+    dc = (colours / 255 - 0.5) / COLOUR_RANGE
+    rest = (harmonics / 128.0 - 1).reshape(n, (header.degree + 1) ** 2 - 1, 3)
+    return unpacked(
+        path,
+        means=_from_fixed(positions, header.fraction_bits),
+        quats=_quats(quats),
+        log_scales=scales / 16.0 - 10,
+        opacities=alphas[:, 0] / 255,
+        sh=np.concatenate([dc[:, None], rest], axis=1),
+    )
+
+
+def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
+    """Write version 3, in the order of ``gaussians``; there is no room for ``comments``.
+
+    Positions are as fine as 24 bits allow, harmonics go to degree 3 at most, axes stay as they
+    are.
+
+    Raises:
+        WriteError: see :func:`splatmorph.io.write`; or coordinates beyond ±4 194 303.
+    """
+    gaussians = gaussians.with_sh_degree(min(gaussians.sh_degree, HIGHEST_DEGREE))
+    means, quats, log_scales, sh = stored_arrays(gaussians, path)
+    farthest = float(np.abs(means).max())
+    finest = math.floor(math.log2(LARGEST_FIXED / farthest)) if farthest else FRACTION_BITS[-1]
+    if finest < FRACTION_BITS[0]:
+        raise WriteError(
+            f"{path} can't hold a splat at {farthest:.3g}, expected coordinates within "
+            f"±{LARGEST_FIXED // 2}: scale the splat down, or write a .ply"
+        )
+    bits = min(finest, FRACTION_BITS[-1])
+    steps = np.repeat(SH_STEPS, [2 * degree + 1 for degree in (1, 2, 3)])
+    steps = steps[: sh.shape[1] - 1, None]
+    parts = [
+        _to_fixed(means, bits),
+        opacity_bytes(gaussians),
+        as_bytes((0.5 + COLOUR_RANGE * sh[:, 0]) * 255),
+        as_bytes((log_scales + 10) * 16),
+        _quat_bytes(quats),
+        as_bytes(128 + steps * np.round(sh[:, 1:] * 128 / steps)),
+    ]
+    header = HEADER.pack(MAGIC, WRITTEN, len(gaussians), gaussians.sh_degree, bits, 0, 0)
+    body = b"".join([header, *(part.tobytes() for part in parts)])
+    with atomic_write(path) as partial:
+        # No time in the file: the same splat gives the same bytes.
+        partial.write_bytes(gzip.compress(body, mtime=0))
+
+
+def _header(data: bytes, path: Path) -> Header:
+    if not data.startswith(MAGIC):
+        raise ReadError(f"{path} is no SPZ file: expected it to start with {MAGIC.decode()}")
+    if len(data) < HEADER.size:
+        raise _broken(path)
+    _, version, splats, degree, bits, _, streams = HEADER.unpack_from(data)
+    if version not in READ:
+        raise ReadError(
+            f"{path} is SPZ of version {version}, we read {', '.join(map(str, READ))}: export it "
+            "again with another"
+        )
+    if degree > MAX_SH_DEGREE:
+        raise ReadError(
+            f"{path} says SH degree {degree}, expected at most {MAX_SH_DEGREE}: it is damaged; "
+            "export it again"
+        )
+    return Header(version, splats, degree, bits, streams)
+
+
+def _inflated(data: bytes, header: Header, path: Path) -> bytes:
+    """The attributes of version 4, one after the other; empty ones have no stream."""
+    import zstandard
+
+    try:
+        (table,) = struct.unpack_from("<I", data, STREAMS_AT)
+        begin = table + header.streams * STREAM.size
+        parts = []
+        for i in range(header.streams):
+            packed, size = STREAM.unpack_from(data, table + i * STREAM.size)
+            if size not in header.sizes:
+                raise _broken(path)
+            frame = data[begin : begin + packed]
+            parts.append(zstandard.ZstdDecompressor().decompress(frame, max_output_size=size))
+            begin += packed
+        return b"".join(parts)
+    except (struct.error, zstandard.ZstdError, MemoryError) as error:
+        raise _broken(path) from error
+
+
+def _from_fixed(stored: Bytes, bits: int) -> Array:
+    low, middle, high = stored.reshape(-1, 3, 3).astype(np.int32).transpose(2, 0, 1)
+    whole = low | middle << 8 | (high ^ 0x80) - 0x80 << 16
+    return whole / 2.0**bits
+
+
+def _to_fixed(means: Array, bits: int) -> Bytes:
+    whole = np.round(means * 2.0**bits).astype("<i4")
+    return np.ascontiguousarray(whole.view(np.uint8).reshape(-1, 3, 4)[..., :3])
+
+
+def _quats(stored: Bytes) -> Array:
+    """wxyz; the file has xyzw, without w before version 3 and without the largest since."""
+    if stored.shape[1] == 3:
+        xyz = stored / 127.5 - 1
+        return restore_largest(np.zeros(len(xyz)), xyz)
+    words = np.ascontiguousarray(stored).view("<u4").astype(np.int64)
+    fields = words >> np.array([2, 1, 0]) * QUAT_BITS
+    sizes = (fields & QUAT_STEPS) / (QUAT_STEPS * math.sqrt(2))
+    rest = np.where(fields >> QUAT_BITS - 1 & 1, -sizes, sizes)
+    return np.roll(restore_largest(words[:, 0] >> 3 * QUAT_BITS, rest), 1, axis=1)
+
+
+def _quat_bytes(quats: Array) -> Bytes:
+    index, rest = drop_largest(np.roll(quats, -1, axis=1))
+    sizes = np.round(np.abs(rest) * math.sqrt(2) * QUAT_STEPS).astype(np.int64)
+    fields = np.minimum(sizes, QUAT_STEPS) | (rest < 0) * (QUAT_STEPS + 1)
+    words = index << 3 * QUAT_BITS | (fields << np.array([2, 1, 0]) * QUAT_BITS).sum(axis=1)
+    return words.astype("<u4").view(np.uint8)
+
+
+def _broken(path: Path) -> ReadError:
+    return ReadError(
+        f"{path} is no whole SPZ file: it is truncated or damaged; download or export it again"
+    )
