@@ -33,6 +33,8 @@ class Exported:
     """Splats left out over all frames, being too faint to be drawn."""
     resumed: int
     """Frames that an earlier, interrupted export had written already."""
+    moved: float
+    """The largest distance in world units that a format's rounding moved a center."""
 
 
 def export_sequence(
@@ -40,6 +42,7 @@ def export_sequence(
     times: Sequence[float],
     folder: str | Path,
     *,
+    extension: str = ".ply",
     names: Sequence[str] = ("source", "target"),
     prune: bool = True,
     overwrite: bool = False,
@@ -52,6 +55,7 @@ def export_sequence(
         morph: what to write.
         times: t of each frame.
         folder: where to; made if need be.
+        extension: of a format that ``splatmorph.io`` writes; only ``.ply`` keeps every bit.
         names: of the splats that it goes through, one at each whole t, for the headers.
         prune: leave out splats too faint to be drawn (alpha below 1/255), except at the inputs.
         overwrite: replace an earlier export in ``folder``.
@@ -65,21 +69,27 @@ def export_sequence(
     """
     folder = make_folder(folder)
     remove_partials(folder)
-    plan = {"times": list(times), "names": list(names), "prune": prune, "asked": asked or {}}
+    plan = {
+        "times": list(times),
+        "extension": extension,
+        "names": list(names),
+        "prune": prune,
+        "asked": asked or {},
+    }
     digits = max(4, len(str(len(times) - 1)))
-    files = tuple(folder / f"morph_{i:0{digits}d}.ply" for i in range(len(times)))
+    files = tuple(folder / f"morph_{i:0{digits}d}{extension}" for i in range(len(times)))
     done = _done_before(folder, plan, files, overwrite)
     left = [i for i in range(len(times)) if i not in done]
     frames = morph.sequence([times[i] for i in left])
-    written: dict[int, dict[str, int]] = {}
+    written: dict[int, dict[str, float]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
         t = times[i]
         leg = min(max(math.floor(t), 0), len(names) - 2)
         between = 0 < t < len(names) - 1 and not float(t).is_integer()
         kept = _drawn(frame) if prune and between else frame
         comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
-        io.write(files[i], kept, [comment])
-        written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept)}
+        moved = write_measured(files[i], kept, [comment])
+        written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept), "moved": moved}
         write_json(folder / PLAN, plan | {"done": done | written})
         if on_frame is not None:
             on_frame(len(done) + count + 1)
@@ -90,18 +100,37 @@ def export_sequence(
     ]
     write_json(folder / INDEX, {"splats": list(names), "frames": rows})
     (folder / PLAN).unlink(missing_ok=True)
-    return Exported(folder, files, sum(counts[i]["pruned"] for i in range(len(files))), len(done))
+    return Exported(
+        folder,
+        files,
+        pruned=sum(int(row["pruned"]) for row in counts.values()),
+        resumed=len(done),
+        moved=max(row["moved"] for row in counts.values()),
+    )
+
+
+def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> float:
+    """Write a splat, and return how far in world units its format's rounding moved a center.
+
+    Raises:
+        OptionError, WriteError: see :func:`splatmorph.io.write`.
+    """
+    io.write(path, gaussians, comments)
+    if not io.FORMATS[io.extension_of(path)].loses:
+        return 0.0
+    stored = io.read(path)
+    return float((gaussians.means.double() - stored.means.double()).norm(dim=1).max())
 
 
 def _done_before(
     folder: Path, plan: dict[str, Any], files: Sequence[Path], overwrite: bool
-) -> dict[int, dict[str, int]]:
+) -> dict[int, dict[str, float]]:
     """Frames of the same export that are there already; makes room where that is allowed."""
     unfinished = _read_json(folder / PLAN)
     if unfinished is not None and {k: unfinished.get(k) for k in plan} == plan:
         done = {int(i): row for i, row in unfinished.get("done", {}).items()}
         return {i: row for i, row in done.items() if files[i].is_file()}
-    earlier = sorted(folder.glob("morph_*.ply"))
+    earlier = sorted(f for f in folder.glob("morph_*") if io.extension_of(f) in io.FORMATS)
     if earlier and not overwrite:
         raise OutputExistsError(
             f"{folder} holds frames already ({earlier[0].name} and more): give -w to replace "

@@ -114,6 +114,45 @@ def test_exported_ends_are_the_inputs_bit_for_bit(fitted: Path, cli: Run) -> Non
     ]
 
 
+@pytest.mark.parametrize("kind", ["compressed.ply", "spz", "splat"])
+def test_small_formats_go_all_the_way(fitted: Path, cli: Run, kind: str) -> None:
+    code, out, _ = cli("export", fitted, "--frames", 3, "-o", "out", "--format", kind)
+    assert code == 0
+    (line,) = (line for line in out.splitlines() if "lossy" in line)
+    rows = json.loads(Path("out/frames.json").read_text())["frames"]
+    assert [row["file"] for row in rows] == [f"morph_000{i}.{kind}" for i in range(3)]
+    moved = [
+        float((io.read(f"out/{row['file']}").means - io.read(end).means).norm(dim=1).max())
+        for row, end in zip(rows[::2], ("a.ply", "b.ply"), strict=True)
+    ]
+    assert moved == pytest.approx([rows[0]["moved"], rows[2]["moved"]], abs=1e-9)
+    assert max(moved) < 2e-3
+    assert f"{max(row['moved'] for row in rows):.2g}" in line
+    # Another format takes the place of the frames, and does not mix with them.
+    failed(cli("export", fitted, "--frames", 3, "-o", "out"), "holds frames already")
+    assert cli("export", fitted, "--frames", 3, "-o", "out", "-w")[0] == 0
+    assert len(list(Path("out").iterdir())) == 4
+
+    # What was written is an input, with the landmarks of its stem.
+    for end, name in (("a", "c"), ("b", "d")):
+        io.write(f"{name}.{kind}", io.read(f"{end}.ply"))
+        Path(f"{end}.landmarks.json").rename(f"{name}.landmarks.json")
+    assert "20, named" in cli("inspect", f"c.{kind}")[1]
+    assert cli("fit", f"c.{kind}", f"d.{kind}")[0] == 0
+    assert cli("render", "c-d.run", "-o", "x.png", "--size", "32x32")[0] == 0
+    assert cli("render", f"c.{kind}", "-o", "y.png", "--size", "32x32")[0] == 0
+
+
+def test_an_average_is_written_in_any_format(
+    pair: tuple[Path, Path], cli: Run, make_gaussians: MakeGaussians
+) -> None:
+    assert cli("fit", *pair, "--mean")[0] == 0
+    assert "lossy" in cli("export", "a-b-mean.run", "--format", "spz")[1]
+    assert len(io.read("a-b-mean.spz")) == 350
+    assert cli("export", "a-b-mean.run", "-o", "x.splat")[0] == 0
+    failed(cli("export", "a-b-mean.run", "-o", "x.ply", "--format", "spz"), "different formats")
+
+
 def test_invisible_splats_are_pruned_between_the_ends_only(fitted: Path, cli: Run) -> None:
     out = cli("export", fitted, "--t", "0,0.5,1", "-o", "out")[1]
     rows = json.loads(Path("out/frames.json").read_text())["frames"]

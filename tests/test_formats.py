@@ -311,6 +311,8 @@ def test_what_is_not_finite_is_not_written(
     splats.means[4, 1] = float("inf")
     with pytest.raises(WriteError, match="positions"):
         io.write(tmp_path / f"x{extension}", splats)
+    with pytest.raises(WriteError, match="nothing"):
+        io.write(tmp_path / f"x{extension}", splats.select(torch.arange(0)))
     assert not list(tmp_path.iterdir())
 
 

@@ -19,7 +19,7 @@ COMMANDS = {
     "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
     "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
     "render": "Render a run as a video or pictures; or any splat.",
-    "export": "Write the splats between as PLY files, one a time.",
+    "export": "Write the splats between as files, one a time.",
     "eval": "Measure a run: landmark errors, flow laws, folding, energies.",
     "streamlines": "Draw the flow of a run.",
     "view": "Look at a run in the browser, live or as one page to share.",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated
 
@@ -10,10 +9,12 @@ from cyclopts import Parameter
 
 from splatmorph import io
 from splatmorph.app import console
+from splatmorph.app.export import lossy
 from splatmorph.app.options import Out, Overwrite
 from splatmorph.avatars import LANDMARK_SETS, Avatar, Track, baked, load_avatar, thin, track_of
 from splatmorph.errors import OptionError
-from splatmorph.io.atomic import atomic_write, make_folder
+from splatmorph.export import write_measured
+from splatmorph.io.atomic import make_folder, write_json
 
 AvatarInput = Annotated[
     Path, Parameter(help="Its splat file, the directory of that, or the model directory.")
@@ -76,14 +77,16 @@ def bake(
         _write_track(loaded, moved, out or Path(f"{loaded.name}-frames"), overwrite)
         return
     file = console.claim(out or Path(f"{loaded.name}.ply"), overwrite)
-    beside = console.claim(file.with_name(f"{file.stem}.landmarks.json"), overwrite)
+    beside = console.claim(file.with_name(f"{io.stem_of(file)}.landmarks.json"), overwrite)
     landmarks = loaded.landmarks
     if landmarks_count is not None:
         landmarks, _ = thin(landmarks, landmarks, landmarks_count)
-    io.write(file, loaded.gaussians, [f"splatmorph bake {loaded.name} {loaded.posed}"])
+    comment = f"splatmorph bake {loaded.name} {loaded.posed}"
+    shift = write_measured(file, loaded.gaussians, [comment])
     landmarks.write(beside)
     console.say(
-        f"wrote {file}: {len(loaded.gaussians):,} splats, posed {loaded.posed}\n"
+        f"wrote {file}: {len(loaded.gaussians):,} splats, posed {loaded.posed}"
+        f"{lossy(file, shift)}\n"
         f"wrote {beside}: {len(landmarks)} landmarks"
     )
 
@@ -99,7 +102,6 @@ def _write_track(avatar: Avatar, track: Track, folder: Path, overwrite: bool) ->
             rows.append({"file": file.name, "frame": frame, "splats": len(gaussians)})
             update(frame + 1, len(track), "")
     # Last, so that a folder with an index is whole.
-    with atomic_write(folder / INDEX) as partial:
-        index = {"source": avatar.name, "track": str(track.path), "frames": rows}
-        partial.write_text(json.dumps(index, indent=1) + "\n", encoding="utf-8")
+    index = {"source": avatar.name, "track": str(track.path), "frames": rows}
+    write_json(folder / INDEX, index)
     console.say(f"wrote {len(rows)} files, frame_0000.ply …, to {folder}")

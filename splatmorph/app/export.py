@@ -1,9 +1,9 @@
-"""``splatmorph export``: the splats between, as PLY files."""
+"""``splatmorph export``: the splats between, as files."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
@@ -19,7 +19,7 @@ from splatmorph.app.options import (
     TimesOption,
 )
 from splatmorph.errors import OptionError
-from splatmorph.export import export_sequence
+from splatmorph.export import export_sequence, write_measured
 from splatmorph.inputs import fingerprint
 from splatmorph.run import (
     MANIFEST,
@@ -41,6 +41,10 @@ def export(
         Parameter(help="How many, evenly from first to last t; 5 by default."),
     ] = None,
     t: TimesOption = None,
+    format: Annotated[
+        Literal["ply", "compressed.ply", "spz", "splat"] | None,
+        Parameter(help="ply by default, which alone keeps every bit; the others are smaller."),
+    ] = None,
     prune: Annotated[
         bool, Parameter(help="Leave out splats too faint to be drawn (alpha below 1/255).")
     ] = True,
@@ -51,7 +55,7 @@ def export(
     blending: Blending = AS_THEY_ARE,
     overwrite: Overwrite = False,
 ) -> None:
-    """Write the morph as PLY files, one a time, and frames.json with the t of each.
+    """Write the morph as splat files, one a time, and frames.json with the t of each.
 
     The files are named so that SuperSplat and Brush play them as a sequence. An interrupted
     export goes on when the same command is given again.
@@ -61,9 +65,11 @@ def export(
     inputs = load_inputs(opened)
     stem = run.resolve().name.removesuffix(".run")
     if opened.is_mean:
-        path = console.claim(out or Path(f"{stem}.ply"), overwrite)
-        io.write(path, average_of(opened, inputs, **options))
-        console.say(f"wrote {path}")
+        path = console.claim(out or Path(f"{stem}.{format or 'ply'}"), overwrite)
+        if format and io.extension_of(path) != f".{format}":
+            raise OptionError(f"--format {format} and -o {path} are different formats: give one")
+        moved = write_measured(path, average_of(opened, inputs, **options))
+        console.say(f"wrote {path}{lossy(path, moved)}")
         return
     if stable_count:
         options["stable_count"], prune = True, False
@@ -75,6 +81,7 @@ def export(
             morph,
             times,
             folder,
+            extension=f".{format or 'ply'}",
             names=[one.name for one in opened.inputs],
             prune=prune,
             overwrite=overwrite,
@@ -85,7 +92,17 @@ def export(
         console.say(f"{written.resumed} frames were there from an interrupted export")
     if written.pruned:
         console.say(f"left out {written.pruned:,} splats too faint to be drawn (--no-prune keeps)")
-    console.say(f"wrote {len(written.files)} files, {written.files[0].name} …, to {folder}")
+    first = written.files[0]
+    console.say(
+        f"wrote {len(written.files)} files, {first.name} …, to {folder}"
+        f"{lossy(first, written.moved)}"
+    )
+
+
+def lossy(path: Path, moved: float) -> str:
+    """What the line of an output says where its format doesn't keep every bit."""
+    loses = io.FORMATS[io.extension_of(path)].loses
+    return f"; lossy: centers moved by up to {moved:.2g}, {loses}" if loses else ""
 
 
 def _times(frames: int | None, t: Times | None, last: float) -> list[float]:

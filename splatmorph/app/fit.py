@@ -192,7 +192,7 @@ def _summarise(folder: Path, loaded: Sequence[Loaded], reports: Sequence[FitRepo
         console.say(f"volume: det ∂Φ/∂x from {report.det_min:.3g} to {report.det_max:.3g}")
     console.say(f"\nwrote {folder}\nnext:")
     console.say(f"  splatmorph render {folder}              a turntable while it morphs")
-    console.say(f"  splatmorph export {folder} --frames 5   PLY files in between")
+    console.say(f"  splatmorph export {folder} --frames 5   the splats in between")
 
 
 def _errors_of(report: FitReport) -> Any:

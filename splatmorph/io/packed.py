@@ -42,8 +42,10 @@ def stored_arrays(gaussians: Gaussians, path: str | Path) -> tuple[Array, Array,
     """means (n, 3), unit quats (n, 4), log scales (n, 3) and sh (n, k, 3), to be rounded.
 
     Raises:
-        WriteError: values that aren't finite, or a zero quaternion.
+        WriteError: no splats, values that aren't finite, or a zero quaternion.
     """
+    if len(gaussians) == 0:
+        raise WriteError(f"{path} can't hold a splat of nothing: write a .ply")
     check_drawable(gaussians, f"the splat for {path}", WriteError)
     fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh)
     means, quats, log_scales, sh = (field.detach().cpu().double().numpy() for field in fields)
