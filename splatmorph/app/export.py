@@ -57,7 +57,7 @@ def export(
 ) -> None:
     """Write the morph as splat files, one a time, and frames.json with the t of each.
 
-    The files are named so that SuperSplat and Brush play them as a sequence. An interrupted
+    PLY files are named so that SuperSplat and Brush play them as a sequence. An interrupted
     export goes on when the same command is given again.
     """
     options: dict[str, Any] = blending.chosen()
@@ -102,7 +102,8 @@ def export(
 def lossy(path: Path, moved: float) -> str:
     """What the line of an output says where its format doesn't keep every bit."""
     loses = io.FORMATS[io.extension_of(path)].loses
-    return f"; lossy: centers moved by up to {moved:.2g}, {loses}" if loses else ""
+    centers = f"centers moved by up to {moved:.2g}" if moved else "centers kept"
+    return f"; lossy: {centers}, {loses}" if loses else ""
 
 
 def _times(frames: int | None, t: Times | None, last: float) -> list[float]:
