@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -33,6 +33,8 @@ from splatmorph.run import (
     save_run,
     save_state,
 )
+
+Matched = tuple[torch.Tensor, torch.Tensor, tuple[str, ...]]
 
 MOST_DOMAIN_POINTS = 20_000
 
@@ -94,25 +96,80 @@ def fit(
     With more than two splats the run is a chain whose t goes from 0 at the first to n - 1 at the
     n-th; with --mean it is their average.
     """
-    loaded = posing.load((source, target, *more))
-    folder = out or Path("-".join(one.name for one in loaded) + ("-mean.run" if mean else ".run"))
-    legs = [posing.thinned(leg) for leg in _legs([landmarks_of(one) for one in loaded], mean)]
-    options = dataclasses.asdict(fitting) | {"mean": mean}
-    matched = [p.match(q) for p, q in legs]
-    told = [options, [[names, p.tolist(), q.tolist()] for p, q, names in matched]]
-    _claim_run(folder, resume, overwrite)
-    made, reports = [], []
-    for i, (p, q) in enumerate(legs):
-        flow = fitting.make().to(choose_device(device))
-        ends = [loaded[i]] if mean else loaded[i : i + 2]
-        asked = json.dumps([i, *told])
-        reports.append(_fit_leg(flow, (p, q), _domain(ends), fitting, folder, i, asked, resume))
-        made.append(Leg(flow.cpu(), *matched[i], reports[-1].to_dict()))
-        if reports[-1].interrupted and i + 1 < len(legs):
-            console.warn("interrupted: the same command with --resume goes on")
-            raise KeyboardInterrupt
-    save_run(folder, Run(tuple(remember(one) for one in loaded), tuple(made), options), reports)
-    _summarise(folder, loaded, reports)
+    asked = Request.of((source, target, *more), posing, fitting, mean=mean)
+    names = "-".join(one.name for one in asked.loaded)
+    folder = out or Path(names + ("-mean.run" if mean else ".run"))
+    claim_run(folder, resume, overwrite)
+    _summarise(folder, asked.loaded, asked.fit(folder, device, resume))
+
+
+@dataclass(frozen=True)
+class Request:
+    """A fit as it is asked for, everything loaded."""
+
+    loaded: tuple[Loaded, ...]
+    ends: tuple[Pair, ...]
+    """The landmarks that each flow goes between."""
+    matched: tuple[Matched, ...]
+    """The same point by point: sources, targets, names."""
+    fitting: Fitting
+    options: Mapping[str, Any]
+    """What the run is told to remember of it."""
+
+    @staticmethod
+    def of(
+        paths: Sequence[Path], posing: Posing, fitting: Fitting, *, mean: bool = False
+    ) -> Request:
+        """Load the splats and match their landmarks.
+
+        Raises:
+            SplatmorphError: an input can't be read, or has no landmarks that match.
+        """
+        loaded = posing.load(paths)
+        ends = [posing.thinned(leg) for leg in _legs([landmarks_of(one) for one in loaded], mean)]
+        return Request(
+            tuple(loaded),
+            tuple(ends),
+            tuple(p.match(q) for p, q in ends),
+            fitting,
+            dataclasses.asdict(fitting) | {"mean": mean},
+        )
+
+    def made(self, run: Run) -> bool:
+        """Whether ``run`` is a fit of the same inputs and landmarks with the same options."""
+        kept = [(leg.source_points, leg.target_points, leg.names) for leg in run.legs]
+        return (
+            run.options == self.options
+            and run.inputs == tuple(remember(one) for one in self.loaded)
+            and len(kept) == len(self.matched)
+            and all(
+                torch.equal(p, a) and torch.equal(q, b) and tuple(names) == stored
+                for (p, q, names), (a, b, stored) in zip(self.matched, kept, strict=True)
+            )
+        )
+
+    def fit(self, folder: Path, device: str, resume: bool) -> list[FitReport]:
+        """Fit each flow and write the run.
+
+        Raises:
+            KeyboardInterrupt: with flows left to fit; what was done is kept.
+            SplatmorphError: a fit fails, or the run can't be written.
+        """
+        mean = self.options["mean"]
+        told = [self.options, [[names, p.tolist(), q.tolist()] for p, q, names in self.matched]]
+        made, reports = [], []
+        for i, ends in enumerate(self.ends):
+            flow = self.fitting.make().to(choose_device(device))
+            domain = _domain([self.loaded[i]] if mean else self.loaded[i : i + 2])
+            asked = json.dumps([i, *told])
+            reports.append(_fit_leg(flow, ends, domain, self.fitting, folder, i, asked, resume))
+            made.append(Leg(flow.cpu(), *self.matched[i], reports[-1].to_dict()))
+            if reports[-1].interrupted and i + 1 < len(self.ends):
+                console.warn("interrupted: the same command with --resume goes on")
+                raise KeyboardInterrupt
+        inputs = tuple(remember(one) for one in self.loaded)
+        save_run(folder, Run(inputs, tuple(made), self.options), reports)
+        return reports
 
 
 def _legs(points: Sequence[Landmarks], mean: bool) -> list[Pair]:
@@ -122,7 +179,12 @@ def _legs(points: Sequence[Landmarks], mean: bool) -> list[Pair]:
     return [(one, middle) for one in points]
 
 
-def _claim_run(folder: Path, resume: bool, overwrite: bool) -> None:
+def claim_run(folder: Path, resume: bool, overwrite: bool) -> None:
+    """Refuse a folder that a run may not be written to.
+
+    Raises:
+        OutputExistsError: something is there that may not be replaced or gone on with.
+    """
     if folder.exists() and not folder.is_dir():
         raise OutputExistsError(f"{folder} is a file: give -o to write the run elsewhere")
     finished = (folder / MANIFEST).is_file()
