@@ -25,6 +25,7 @@ COMMANDS = {
     "view": "Look at a run in the browser, live or as one page to share.",
     "bake": "Write a rigged avatar as a plain splat.",
     "image": "Morph one picture into another.",
+    "batch": "Fit many pairs that a table names, each into a run of its own.",
     "demo": "Fit, render and export the sample pair.",
 }
 

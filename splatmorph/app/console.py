@@ -44,6 +44,12 @@ def say(*parts: object) -> None:
         out.print(*parts, markup=False)
 
 
+def note(message: str) -> None:
+    """Print a line of progress to stderr, unless ``--quiet``."""
+    if not manner.quiet:
+        err.print(message, markup=False)
+
+
 def warn(message: str) -> None:
     """Print a warning to stderr, unless ``--quiet``."""
     if not manner.quiet:
