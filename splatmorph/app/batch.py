@@ -144,7 +144,7 @@ def read_rows(path: Path) -> list[Row]:
     if repeated or not {"source", "target"} <= set(columns) <= set(known):
         raise ReadError(
             f"{path} begins with {','.join(columns) or 'nothing'}, expected the columns "
-            f"source,target and of {','.join(known[2:])} what is needed"
+            f"source,target and those needed of {','.join(known[2:])}, with commas between"
         )
     rows = [_row(path, line, cells) for line, cells in lines]
     if not rows:

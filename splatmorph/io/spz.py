@@ -138,7 +138,7 @@ def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     body = b"".join([header, *(part.tobytes() for part in parts)])
     with atomic_write(path) as partial:
         # No time in the file: the same splat gives the same bytes.
-        partial.write_bytes(gzip.compress(body, mtime=0))
+        partial.write_bytes(gzip.compress(body, compresslevel=6, mtime=0))
 
 
 def _header(data: bytes, path: Path) -> Header:
