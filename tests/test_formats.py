@@ -269,7 +269,14 @@ def test_not_a_number_in_a_splat_file(tmp_path: Path, make_gaussians: MakeGaussi
 
 @pytest.mark.parametrize(
     ("at", "value", "word"),
-    [(0, 0x99, "no SPZ"), (4, 1, "version 1"), (4, 5, "version 5"), (12, 9, "SH degree 9")],
+    [
+        (0, 0x99, "no SPZ"),
+        (4, 1, "version 1"),
+        (4, 5, "version 5"),
+        (8, 0, "0 splats"),
+        (8, 10, "truncated"),
+        (12, 9, "SH degree 9"),
+    ],
 )
 def test_headers_of_spz_that_are_not_ours(
     tmp_path: Path, make_gaussians: MakeGaussians, at: int, value: int, word: str

@@ -53,6 +53,16 @@ def scales_look_activated(gaussians: Gaussians) -> bool:
     return bool(stored.median().exp() > LARGEST_TYPICAL_SPLAT * extent)
 
 
+def check_count(splats: int, path: str | Path) -> None:
+    """Refuse a file without splats.
+
+    Raises:
+        ReadError: there are 0.
+    """
+    if splats == 0:
+        raise ReadError(f"{path} holds 0 splats, expected at least one: export it again")
+
+
 def check_drawable(
     gaussians: Gaussians, owner: str | Path, error: type[SplatmorphError] = ReadError
 ) -> None:

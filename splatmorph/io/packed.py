@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import ReadError, WriteError
 from splatmorph.gaussians import Gaussians
-from splatmorph.io.checks import check_drawable
+from splatmorph.io.checks import check_count, check_drawable
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -66,8 +66,7 @@ def unpacked(
     Raises:
         ReadError: no splats, or values that no renderer can show.
     """
-    if len(means) == 0:
-        raise ReadError(f"{path} holds 0 splats, expected at least one: export it again")
+    check_count(len(means), path)
     alphas = np.clip(opacities.astype(np.float64), FAINTEST, 1 - FAINTEST)
     logits = np.log(alphas / (1 - alphas))
     gaussians = Gaussians(

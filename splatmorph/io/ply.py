@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import LocalFrameError, ReadError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
-from splatmorph.io.checks import check_stored
+from splatmorph.io.checks import check_count, check_stored
 from splatmorph.io.compressed_ply import is_compressed, unpack
 from splatmorph.io.elements import Columns, read_elements, write_elements
 
@@ -164,8 +164,7 @@ def _plain_splat(elements: Mapping[str, Columns], path: str | Path) -> Columns:
     columns = elements["vertex"]
     missing = [name for name in REQUIRED if name not in columns]
     if not missing:
-        if len(columns["x"]) == 0:
-            raise ReadError(f"{path} holds 0 splats, expected at least one: export it again")
+        check_count(len(columns["x"]), path)
         return columns
     if {"face", "tristrips"} & elements.keys():
         kind = "a mesh; train or convert it to 3D Gaussians first"

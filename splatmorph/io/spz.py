@@ -21,6 +21,7 @@ import numpy as np
 from splatmorph.errors import ReadError, WriteError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
 from splatmorph.io.atomic import atomic_write
+from splatmorph.io.checks import check_count
 from splatmorph.io.packed import (
     Array,
     Bytes,
@@ -157,6 +158,7 @@ def _header(data: bytes, path: Path) -> Header:
             f"{path} says SH degree {degree}, expected at most {MAX_SH_DEGREE}: it is damaged; "
             "export it again"
         )
+    check_count(splats, path)
     return Header(version, splats, degree, bits, streams)
 
 
