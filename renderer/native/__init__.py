@@ -7,14 +7,11 @@ launches share the frame's tasks (``frame.h``). The memory of a frame is kept fo
 
 from __future__ import annotations
 
-import contextlib
 import functools
-import itertools
 import math
 import os
 import threading
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import numpy as np
@@ -23,6 +20,7 @@ from numpy.typing import NDArray
 
 from renderer.kernels import View
 from renderer.native import kernel
+from renderer.threads import together
 
 Array = NDArray[Any]
 
@@ -105,23 +103,6 @@ def stage_shares() -> dict[str, float]:
     return dict(zip(STAGES, ticks / max(ticks.sum(), 1), strict=True))
 
 
-@functools.cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    """So many threads; where they are as many as the cores, one on each.
-
-    Left to itself, the system at times keeps two of them on one core for a whole frame.
-    """
-    free = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_setaffinity") else []
-
-    def stay_on_one_core() -> None:
-        if len(free) == threads:
-            with contextlib.suppress(OSError):
-                os.sched_setaffinity(0, {free[next(numbers)]})
-
-    numbers = itertools.count()
-    return ThreadPoolExecutor(threads, "rasterize", stay_on_one_core)
-
-
 def render(
     scene: Mapping[str, Array],
     degree: int,
@@ -153,13 +134,4 @@ def _draw(inputs: Sequence[Any], memory: kernel.Memory, threads: int) -> None:
     memory.state.numpy()[:] = 0
     memory.state.numpy()[0] = kernel.PARTS << 28
     frame = wp.launch(kernel.draw, 1, inputs, device="cpu", record_cmd=True)
-    if threads == 1:
-        frame.launch()
-        return
-    shares = [_pool(threads).submit(frame.launch) for _ in range(threads)]
-    try:
-        wait(shares)
-    finally:  # an interrupt must not free what the threads still write to
-        wait(shares)
-    for share in shares:
-        share.result()
+    together(lambda _: frame.launch(), threads)

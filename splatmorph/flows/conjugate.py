@@ -42,23 +42,14 @@ class Coupling(nn.Module):
 
     def push(self, jet: Jet) -> Jet:
         """``forward`` with derivatives."""
-        if self.network.takes_natively(jet):
-            return self._push_natively(jet, LARGEST_LOG_SCALE)
         log_scale, shift = self._jets(jet, 1.0)
         return self._join(jet, jet.columns([self.moved]) * log_scale.activate(_exp) + shift)
 
     def push_inverse(self, jet: Jet) -> Jet:
         """``inverse`` with derivatives."""
-        if self.network.takes_natively(jet):
-            return self._push_natively(jet, -LARGEST_LOG_SCALE)
         log_scale, shift = self._jets(jet, -1.0)
         difference = jet.columns([self.moved]) + shift.activate(_negative)
         return self._join(jet, difference * log_scale.activate(_exp))
-
-    def _push_natively(self, jet: Jet, bound: float) -> Jet:
-        from splatmorph.flows.native.jet import push_coupling
-
-        return push_coupling(jet, self.network, self.moved, bound)
 
     def _terms(self, z: Tensor) -> tuple[Tensor, Tensor]:
         raw = self.network(z[..., self.kept])
@@ -209,14 +200,24 @@ class Conjugate(Flow):
         return self._push_inverse(straight.linear(linear[0], shift[0])).hessian()
 
     def _push(self, jet: Jet) -> Jet:
+        if self.chain[0].network.takes_natively(jet):
+            return self._push_natively(jet, self.chain, LARGEST_LOG_SCALE)
         for coupling in self.chain:
             jet = coupling.push(jet)
         return jet
 
     def _push_inverse(self, jet: Jet) -> Jet:
+        if self.chain[0].network.takes_natively(jet):
+            return self._push_natively(jet, self.chain[::-1], -LARGEST_LOG_SCALE)
         for coupling in reversed(self.chain):
             jet = coupling.push_inverse(jet)
         return jet
+
+    @staticmethod
+    def _push_natively(jet: Jet, chain: tuple[Coupling, ...], bound: float) -> Jet:
+        from splatmorph.flows.native.jet import push_couplings
+
+        return push_couplings(jet, [(each.network, each.moved, bound) for each in chain])
 
     def _affine_rate(self, z: Tensor) -> Tensor:
         return z @ self.generator.to(z).T + self.drift.to(z)

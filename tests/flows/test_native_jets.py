@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatmorph.flows.conjugate import Coupling
+from splatmorph.flows.conjugate import Conjugate
 from splatmorph.flows.jets import Jet
 from splatmorph.flows.network import Network
 
@@ -74,22 +74,20 @@ def test_network(kind: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None
 
 
 @pytest.mark.parametrize("kind", JETS)
-@pytest.mark.parametrize("moved", [0, 1, 2])
-def test_coupling_and_its_inverse(kind: str, moved: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    coupling = Coupling(3, moved, 64, first_omega=10.0, omega=4.0)
-    coupling.network.initialise(torch.Generator().manual_seed(1))
+def test_couplings_and_their_inverses(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    flow = Conjugate(3, layers=4)
+    flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(3, *JETS[kind], FEW)
-    assert coupling.network.takes_natively(jet)
-    for push in (coupling.push, coupling.push_inverse):
-        assert_native_is_plain(push, jet, coupling, monkeypatch)
+    for push in (flow._push, flow._push_inverse):
+        assert_native_is_plain(push, jet, flow.couplings, monkeypatch)
 
 
-def test_coupling_of_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
-    coupling = Coupling(2, 1, 64, first_omega=10.0, omega=4.0)
-    coupling.network.initialise(torch.Generator().manual_seed(1))
+def test_couplings_of_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+    flow = Conjugate(2)
+    flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(2, 2, ((0, 0), (0, 1), (1, 1)), MANY)
-    for push in (coupling.push, coupling.push_inverse):
-        assert_native_is_plain(push, jet, coupling, monkeypatch)
+    for push in (flow._push, flow._push_inverse):
+        assert_native_is_plain(push, jet, flow.couplings, monkeypatch)
 
 
 def test_threads_change_no_bit_of_the_values() -> None:

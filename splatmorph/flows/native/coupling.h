@@ -1,43 +1,41 @@
 // One coupling z_i <- exp(bound tanh r₀) z_i + r₁ with r the network of the other coordinates, or
 // with a negative bound its inverse z_i <- exp(bound tanh r₀) (z_i - r₁); the plain twin is
 // Coupling.push in flows/conjugate.py. The network is differentiated in its own inputs, and the
-// chain rule brings that to the rows of the jet, `outer_directions` and `outer_pairs` of them.
-constexpr int MOST_OUTER = 10, ROW = 2 * LANES;
-const int dim = inputs + 1, moved = given.moved;
-const int outer_directions = given.outer_directions, outer_pairs = given.outer_pairs;
-const int outer = 1 + outer_directions + outer_pairs;
-const int* const outer_pair = given.outer_pair;
+// chain rule brings that to the rows of the jet, OUTER_DIRECTIONS and OUTER_PAIRS of them.
+// Compiled once for each (OUTER_DIRECTIONS, OUTER_PAIRS, OUTER_PAIR).
+constexpr int OUTER = 1 + OUTER_DIRECTIONS + OUTER_PAIRS, DIM = INPUTS + 1, ROW = 2 * LANES;
+const int moved = given.moved;
 const float bound = given.bound;
 
-float state[MOST_OUTER * MOST_INPUTS * LANES];             // outer × dim × points
-float terms[MOST_CHANNELS * ROW];                          // rows of exp(bound tanh r₀) and r₁
-Floats scale[MOST_OUTER], shift[MOST_OUTER], factor[MOST_OUTER];
+float state[OUTER * DIM * LANES];                          // outer × DIM × points
+float terms[CHANNELS * ROW];                               // rows of exp(bound tanh r₀) and r₁
+Floats scale[OUTER], shift[OUTER], factor[OUTER];
 Floats slope, bend, twist;                                 // of r₀ -> exp(bound tanh r₀)
-auto kept_at = [&](int row, int n) -> int { return (row * dim + n + (n >= moved)) * LANES; };
+auto kept_at = [&](int row, int n) -> int { return (row * DIM + n + (n >= moved)) * LANES; };
 
 auto seed = [&]() {
-    for (int k = 0; k < channels * inputs * LANES; ++k) x[k] = 0.f;
-    for (int n = 0; n < inputs; ++n) {
+    for (int k = 0; k < CHANNELS * INPUTS * LANES; ++k) x[k] = 0.f;
+    for (int n = 0; n < INPUTS; ++n) {
         store(x + n * LANES, load(state + kept_at(0, n)));
-        store(x + ((1 + n) * inputs + n) * LANES, (Floats)1.f);
+        store(x + ((1 + n) * INPUTS + n) * LANES, (Floats)1.f);
     }
 };
 
 // Rows of the jet for a function of the other coordinates with the rows q.
 auto compose = [&](const float* q, Floats* rows) {
     #pragma clang fp contract(fast)
-    for (int row = 0; row < outer; ++row) {
+    for (int row = 0; row < OUTER; ++row) {
         rows[row] = row ? (Floats)0.f : load(q);
-        for (int n = 0; row && n < inputs; ++n)
+        for (int n = 0; row && n < INPUTS; ++n)
             rows[row] += load(q + (1 + n) * ROW) * load(state + kept_at(row, n));
     }
-    for (int p = 0; p < outer_pairs; ++p) {
-        const int i = 1 + outer_pair[2 * p], j = 1 + outer_pair[2 * p + 1];
-        for (int c = 0; c < pairs; ++c) {
-            const int n = pair[2 * c], m = pair[2 * c + 1];
+    for (int p = 0; p < OUTER_PAIRS; ++p) {
+        const int i = 1 + OUTER_PAIR[2 * p], j = 1 + OUTER_PAIR[2 * p + 1];
+        for (int c = 0; c < PAIRS; ++c) {
+            const int n = PAIR[2 * c], m = PAIR[2 * c + 1];
             Floats by = load(state + kept_at(i, n)) * load(state + kept_at(j, m));
             if (n != m) by += load(state + kept_at(i, m)) * load(state + kept_at(j, n));
-            rows[1 + outer_directions + p] += load(q + (1 + directions + c) * ROW) * by;
+            rows[1 + OUTER_DIRECTIONS + p] += load(q + (1 + DIRECTIONS + c) * ROW) * by;
         }
     }
 };
@@ -55,11 +53,11 @@ auto meet = [&]() {
     bend = g * (u * u + du);
     twist = g * (u * u * u + 3.f * u * du + u * (6.f * bent * bent - 2.f));
     push(raw, terms, ROW, g, slope, bend);
-    for (int c = 0; c < channels; ++c) store(terms + c * ROW + LANES, load(raw + c * ROW + LANES));
+    for (int c = 0; c < CHANNELS; ++c) store(terms + c * ROW + LANES, load(raw + c * ROW + LANES));
     compose(terms, scale);
     compose(terms + LANES, shift);
-    for (int row = 0; row < outer; ++row) {
-        factor[row] = load(state + (row * dim + moved) * LANES);
+    for (int row = 0; row < OUTER; ++row) {
+        factor[row] = load(state + (row * DIM + moved) * LANES);
         if (bound < 0) factor[row] -= shift[row];
     }
 };

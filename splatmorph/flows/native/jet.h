@@ -1,8 +1,8 @@
 // A network of two hidden sine layers with derivatives, for 16 points at a time; the plain twin is
 // Network.push in flows/network.py. A point has `channels` rows: its value, its derivatives along
 // `directions`, and the second ones along `pairs` of those. Units lie along the registers.
-constexpr int TALL = 8, WIDE = 2 * LANES, MOST_CHANNELS = 10, MOST_INPUTS = 8, MOST_WIDTH = 256;
-constexpr int ROWS = LANES * MOST_CHANNELS;
+constexpr int CHANNELS = 1 + DIRECTIONS + PAIRS, ROWS = LANES * CHANNELS;
+constexpr int TALL = 8, WIDE = 2 * LANES, MOST_WIDTH = 256;
 typedef float Loose __attribute__((ext_vector_type(16), aligned(4)));
 auto load = [](const float* from) -> Floats { return *(const Loose*)from; };
 auto store = [](float* to, Floats value) { *(Loose*)to = value; };
@@ -14,34 +14,38 @@ auto total = [](Floats v) -> float {
 };
 
 struct Arguments {                                         // the twin of jet.py's
-    const float *first, *first_bias;                       // width × inputs
+    const float *first, *first_bias;                       // width × INPUTS
     const float *second, *second_bias;                     // width × width
-    const float *last, *last_bias;                         // outputs × width
-    const int* pair;                                       // pairs × 2 directions
+    const float *last, *last_bias;                         // OUTPUTS × width
     const float* from;                                     // what the network or coupling is given
     float* to;                                             // what it makes of it
-    float* kept;                                           // points × channels × width, or null
     const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
-    float *slope_from, *slope_weights;
-    const int* outer_pair;                                 // a coupling's jet, see coupling.h
-    long points, inputs, width, outputs, directions, pairs, outer_directions, outer_pairs, moved;
+    float *slope_from, *slope_weights;                     // the latter parts × parameters
+    long points, width, parameters, moved;
     double first_omega, omega, bound;
 };
-const Arguments& given = *(const Arguments*)arguments;
+// One network or coupling after the other, each part on points of its own.
+for (int layer = 0; layer < layers; ++layer) {
+const Arguments& given = ((const Arguments*)arguments)[layer];
 const float *const first = given.first, *const second = given.second, *const last = given.last;
-const int inputs = given.inputs, width = given.width, outputs = given.outputs;
-const int directions = given.directions, pairs = given.pairs, channels = 1 + directions + pairs;
-const int* const pair = given.pair;
+const int width = given.width;
 const float first_omega = given.first_omega, omega = given.omega;
 const long points = given.points, end = points * (part + 1) / parts;
 
-float across[MOST_INPUTS * MOST_WIDTH];                    // `first` with the units in a row
+float across[INPUTS * MOST_WIDTH];                         // `first` with the units in a row
 for (int k = 0; k < width; ++k)
-    for (int n = 0; n < inputs; ++n) across[n * width + k] = first[k * inputs + n];
+    for (int n = 0; n < INPUTS; ++n) across[n * width + k] = first[k * INPUTS + n];
 
-float x[MOST_CHANNELS * MOST_INPUTS * LANES];              // channels × inputs × points
-float raw[MOST_CHANNELS * MOST_INPUTS * LANES];            // channels × outputs × points
-float z[ROWS * MOST_WIDTH], hidden[ROWS * MOST_WIDTH];     // points × channels × width
+float turned[MOST_WIDTH * MOST_WIDTH];                     // `second` likewise
+for (int o = 0; o < width; ++o)
+    for (int k = 0; k < width; ++k) turned[k * width + o] = second[o * width + k];
+
+float x[CHANNELS * INPUTS * LANES];                        // channels × inputs × points
+float raw[CHANNELS * OUTPUTS * LANES];                     // channels × outputs × points
+struct Sines {                                             // a layer's: points × channels × width
+    float before[ROWS * MOST_WIDTH], after[ROWS * MOST_WIDTH];
+    float slopes[LANES * MOST_WIDTH];                      // g' at the value
+} sines[2];
 
 // Rows × points × components in memory, rows × components × 16 points at hand; zero beyond `count`.
 auto gather = [&](const float* from, int size, int rows, long p, int count, float* block) {
@@ -86,42 +90,53 @@ auto multiply = [&](const float* a, int row, int step, const float* b, int count
 auto push = [&](const float* z, float* h, int stride, Floats g, Floats slope, Floats bend) {
     #pragma clang fp contract(fast)
     store(h, g);
-    for (int d = 1; d <= directions; ++d) store(h + d * stride, slope * load(z + d * stride));
-    for (int q = 0; q < pairs; ++q) {
-        const int row = (1 + directions + q) * stride;
-        const Floats i = load(z + (1 + pair[2 * q]) * stride);
-        const Floats j = load(z + (1 + pair[2 * q + 1]) * stride);
+    for (int d = 1; d <= DIRECTIONS; ++d) store(h + d * stride, slope * load(z + d * stride));
+    for (int q = 0; q < PAIRS; ++q) {
+        const int row = (1 + DIRECTIONS + q) * stride;
+        const Floats i = load(z + (1 + PAIR[2 * q]) * stride);
+        const Floats j = load(z + (1 + PAIR[2 * q + 1]) * stride);
         store(h + row, slope * load(z + row) + bend * i * j);
     }
 };
 
-auto push_sine = [&](const float* z, float omega, float* h) {
+auto push_sine = [&](Sines& layer, int i, float omega) {
+    const int size = CHANNELS * width;
     for (int k = 0; k < width; k += LANES) {
-        const Floats angle = omega * load(z + k), g = sine(angle);
-        push(z + k, h + k, width, g, omega * sine(angle + 1.57079633f), -omega * omega * g);
+        const float* const z = layer.before + i * size + k;
+        Floats slope;
+        const Floats g = sine_cosine(omega * load(z), slope);
+        slope *= omega;
+        push(z, layer.after + i * size + k, width, g, slope, -omega * omega * g);
+        store(layer.slopes + i * width + k, slope);
     }
 };
 
-// Rows of the first layer of point i, before its sine.
-auto enter = [&](int i, float* z) {
+// From x through both layers to `raw`.
+auto run_network = [&]() {
     #pragma clang fp contract(fast)
-    for (int c = 0; c < channels; ++c)
-        for (int k = 0; k < width; k += LANES) {
-            Floats sum = c ? (Floats)0.f : load(given.first_bias + k);
-            for (int n = 0; n < inputs; ++n)
-                sum += load(across + n * width + k) * x[(c * inputs + n) * LANES + i];
-            store(z + c * width + k, sum);
-        }
-};
-
-// `raw` of point i from the rows h after the second layer's sine.
-auto leave = [&](int i, const float* h) {
-    #pragma clang fp contract(fast)
-    for (int c = 0; c < channels; ++c)
-        for (int o = 0; o < outputs; ++o) {
-            Floats sum = (Floats)0.f;
-            for (int k = 0; k < width; k += LANES)
-                sum += load(h + c * width + k) * load(last + o * width + k);
-            raw[(c * outputs + o) * LANES + i] = total(sum) + (c ? 0.f : given.last_bias[o]);
-        }
+    const int size = CHANNELS * width;
+    for (int i = 0; i < LANES; ++i) {
+        for (int c = 0; c < CHANNELS; ++c)
+            for (int k = 0; k < width; k += LANES) {
+                Floats sum = c ? (Floats)0.f : load(given.first_bias + k);
+                for (int n = 0; n < INPUTS; ++n)
+                    sum += load(across + n * width + k) * x[(c * INPUTS + n) * LANES + i];
+                store(sines[0].before + i * size + c * width + k, sum);
+            }
+        push_sine(sines[0], i, first_omega);
+    }
+    multiply(sines[0].after, width, 1, turned, width, sines[1].before, ROWS, false);
+    for (int i = 0; i < LANES; ++i) {
+        for (int k = 0; k < width; k += LANES)
+            add(sines[1].before + i * size + k, load(given.second_bias + k));
+        push_sine(sines[1], i, omega);
+        for (int c = 0; c < CHANNELS; ++c)
+            for (int o = 0; o < OUTPUTS; ++o) {
+                const float* const h = sines[1].after + i * size + c * width;
+                Floats sum = (Floats)0.f;
+                for (int k = 0; k < width; k += LANES)
+                    sum += load(h + k) * load(last + o * width + k);
+                raw[(c * OUTPUTS + o) * LANES + i] = total(sum) + (c ? 0.f : given.last_bias[o]);
+            }
+    }
 };

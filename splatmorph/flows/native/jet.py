@@ -5,8 +5,9 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import cache
-from itertools import combinations_with_replacement
+from itertools import accumulate, combinations_with_replacement
 from pathlib import Path
 
 import torch
@@ -14,132 +15,156 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from renderer.quietly import wp
+from renderer.threads import launch_parts
 from splatmorph.flows.jets import Jet, Pairs
-from splatmorph.flows.native.threads import on_all_threads
 from splatmorph.flows.network import Network
 
-WORTH_SHARING = 1 << 21
-"""Products in the middle layer from which a second thread pays."""
-
-ARRAYS = (
-    *("first", "first_bias", "second", "second_bias", "last", "last_bias"),
-    *("pair", "from", "to", "kept", "slope_to", "slope_from", "slope_weights", "outer_pair"),
-)
-SIZES = (
-    *("points", "inputs", "width", "outputs", "directions", "pairs"),
-    *("outer_directions", "outer_pairs", "moved"),
-)
+WORTH_SHARING = 1 << 22
+"""Products in the middle layers from which a second thread pays."""
 
 
 class _Arguments(ctypes.Structure):
     """The twin of the one in ``jet.h``."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ARRAYS),
-        *((name, ctypes.c_int64) for name in SIZES),
+        *((name, ctypes.c_void_p) for name in ("first", "first_bias", "second", "second_bias")),
+        *((name, ctypes.c_void_p) for name in ("last", "last_bias", "from", "to")),
+        *((name, ctypes.c_void_p) for name in ("slope_to", "slope_from", "slope_weights")),
+        *((name, ctypes.c_int64) for name in ("points", "width", "parameters", "moved")),
         *((name, ctypes.c_double) for name in ("first_omega", "omega", "bound")),
     )
 
 
 @cache
-def _kernel(what: str, way: str):
-    sources = ["lanes", "jet", f"jet_{way}", f"{what}_{way}"]
+def _kernel(what: str, way: str, inputs: int, outputs: int, directions: int, pairs: Pairs):
+    """``way`` forward or backward, for jets with so many ``directions`` and these ``pairs``."""
+    constants, headers = "", ["lanes.h", "jet.h", f"{what}_{way}.h"]
+    if way == "backward":
+        headers.insert(2, "jet_backward.h")
     if what == "coupling":
-        sources.insert(3, what)
+        headers.insert(-1, "coupling.h")
+        constants = _constants("OUTER_", directions, pairs)
+        inner = tuple(combinations_with_replacement(range(inputs), 2)) if pairs else ()
+        directions, pairs = inputs, inner
+    constants += f"constexpr int INPUTS = {inputs}, OUTPUTS = {outputs};\n"
+    constants += _constants("", directions, pairs)
     folder = Path(__file__).parent
-    texts = [(folder / f"{source}.h").read_text(encoding="utf-8") for source in sources]
+    texts = [(folder / header).read_text(encoding="utf-8") for header in headers]
 
-    @wp.func_native("\n".join(texts))
-    def run_natively(arguments: wp.uint64, parts: int, part: int): ...
+    @wp.func_native(constants + "\n".join(texts))
+    def run_natively(arguments: wp.uint64, layers: int, parts: int, part: int): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def run(arguments: wp.uint64, parts: int, part: int):
-        run_natively(arguments, parts, part)
+    def run(arguments: wp.uint64, layers: int, parts: int, part: int):
+        run_natively(arguments, layers, parts, part)
 
     return run
 
 
+def _constants(prefix: str, directions: int, pairs: Pairs) -> str:
+    numbers = ", ".join(str(direction) for pair in pairs for direction in pair) or "0"
+    return (
+        f"constexpr int {prefix}DIRECTIONS = {directions}, {prefix}PAIRS = {len(pairs)};\n"
+        f"constexpr int {prefix}PAIR[] = {{{numbers}}};\n"
+    )
+
+
 class _Jets(torch.autograd.Function):
-    """A network or a coupling on the rows of a jet, differentiable once."""
+    """A network, or couplings one after the other, on the rows of a jet; differentiable once."""
 
     @staticmethod
-    def forward(ctx, what: str, rows: Tensor, pairs: Tensor, scalars: tuple, *layers: Tensor):
+    def forward(ctx, what: str, rows: Tensor, pairs: Pairs, scalars: list[tuple], *layers: Tensor):
         """``rows`` (channels, m, inputs or dim): value, derivatives, second ones along ``pairs``.
 
-        ``layers``: matrix, bias, matrix, bias, matrix, bias. -> (channels, m, outputs or dim)
+        ``scalars``: of each network the last of ``_Arguments``. ``layers``: of each the matrix,
+        bias, matrix, bias, matrix, bias. -> (channels, m, outputs or dim)
         """
         channels, m, columns = rows.shape
         width, inputs = layers[0].shape
-        outputs = len(layers[-1])
-        directions, inner, outer = channels - 1 - len(pairs), pairs, (0, 0)
-        if what == "coupling":
-            outer = directions, len(pairs)
-            directions, inner = inputs, _every_pair(inputs if len(pairs) else 0)
-        made = rows.new_empty(channels, m, outputs if what == "network" else columns)
-        kept = None
-        if any(ctx.needs_input_grad):
-            kept = rows.new_empty(m, 1 + directions + len(inner), width)
-        ctx.what, ctx.sizes = what, (m, inputs, width, outputs, directions, len(inner), *outer)
-        ctx.scalars = scalars
-        ctx.save_for_backward(rows, pairs, inner, kept, *layers)
-        arrays = (*layers, inner, rows, made, kept, None, None, None, pairs)
-        _run(what, "forward", arrays, ctx.sizes, scalars)
-        return made
+        outputs, count = len(layers[5]), len(scalars)
+        made = rows.new_empty(count, channels, m, columns if what == "coupling" else outputs)
+        given = [rows, *made[:-1]]
+        ctx.sizes = (m, width, sum(layer.numel() for layer in layers))
+        ctx.shape = (inputs, outputs, channels - 1 - len(pairs), pairs)
+        ctx.what, ctx.scalars = what, scalars
+        ctx.save_for_backward(*given, *layers)
+        arguments = [
+            _Arguments(
+                *_addresses(layers, i, given[i], made[i]), None, None, None, *ctx.sizes, *own
+            )
+            for i, own in enumerate(scalars)
+        ]
+        parts = _parts(count, channels, m, layers[0])
+        _run(_kernel(what, "forward", *ctx.shape), arguments, parts)
+        return made[-1]
 
     @staticmethod
     @once_differentiable
     def backward(ctx, slope: Tensor):
         """∂loss/∂made -> ∂loss/∂(rows, layers)."""
-        rows, pairs, inner, kept, *layers = ctx.saved_tensors
-        parts = [layer.numel() for layer in layers]
-        slope_rows = torch.empty_like(rows)
-        slopes = rows.new_zeros(torch.get_num_threads(), sum(parts))
-        slope = slope.contiguous()
-        arrays = (*layers, inner, rows, None, kept, slope, slope_rows, slopes, pairs)
-        _run(ctx.what, "backward", arrays, ctx.sizes, ctx.scalars)
-        first, *others = slopes.sum(0).split(parts)
-        first = first.view(-1, len(layers[0])).T
-        others = (x.view_as(layer) for x, layer in zip(others, layers[1:], strict=True))
-        return None, slope_rows, None, None, first, *others
+        count = len(ctx.scalars)
+        given, layers = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
+        sizes = [layer.numel() for layer in layers]
+        starts = list(accumulate(sizes, initial=0))
+        parts = _parts(count, *slope.shape[:2], layers[0])
+        slopes = slope.new_empty(parts, starts[-1])
+        slope_given = [torch.empty_like(rows) for rows in given]
+        slope_made = [*slope_given[1:], slope.contiguous()]
+        arguments = []
+        for i in reversed(range(count)):
+            arrays = (slope_made[i], slope_given[i], slopes[0, starts[6 * i] :])
+            addresses = (*_addresses(layers, i, given[i], None), *(a.data_ptr() for a in arrays))
+            arguments.append(_Arguments(*addresses, *ctx.sizes, *ctx.scalars[i]))
+        _run(_kernel(ctx.what, "backward", *ctx.shape), arguments, parts)
+        slopes_of_layers = [
+            part.view(layer.T.shape).T if i % 6 == 0 else part.view(layer.shape)
+            for i, (part, layer) in enumerate(zip(sum(slopes).split(sizes), layers, strict=True))
+        ]
+        return None, slope_given[0], None, None, *slopes_of_layers
 
 
-def _run(what: str, way: str, arrays, sizes, scalars) -> None:
-    addresses = (None if array is None else array.data_ptr() for array in arrays)
-    arguments = _Arguments(*addresses, *sizes, *scalars)
-    points, _, width, _, directions, pairs, *_ = sizes
-    products = points * (1 + directions + pairs) * width**2
-    parts = torch.get_num_threads() if products > WORTH_SHARING else 1
-    on_all_threads(_kernel(what, way), [ctypes.addressof(arguments)], parts)
+def _addresses(layers: Sequence[Tensor], i: int, given: Tensor, made: Tensor | None) -> list:
+    tensors = [*layers[6 * i : 6 * i + 6], given, made]
+    return [None if tensor is None else tensor.data_ptr() for tensor in tensors]
 
 
-@cache
-def _tensor(pairs: Pairs) -> Tensor:
-    return torch.tensor(pairs, dtype=torch.int32).reshape(-1, 2)
+def _parts(count: int, channels: int, m: int, first: Tensor) -> int:
+    products = count * channels * m * len(first) ** 2
+    return torch.get_num_threads() if products > WORTH_SHARING else 1
 
 
-def _every_pair(directions: int) -> Tensor:
-    return _tensor(tuple(combinations_with_replacement(range(directions), 2)))
+def _run(kernel, arguments: list[_Arguments], parts: int) -> None:
+    packed = (_Arguments * len(arguments))(*arguments)
+    launch_parts(kernel, [ctypes.addressof(packed), len(packed)], parts)
 
 
 def push_network(jet: Jet, network: Network) -> Jet:
     """A jet through a network."""
-    return _push("network", jet, network)
+    return _push("network", jet, [network], [(0, *network.omegas, 0.0)])
 
 
-def push_coupling(jet: Jet, network: Network, moved: int, bound: float) -> Jet:
-    """A jet through z_moved <- exp(bound·tanh r₀) z_moved + r₁, or with bound < 0 its inverse."""
-    return _push("coupling", jet, network, moved, bound)
+def push_couplings(jet: Jet, couplings: Sequence[tuple[Network, int, float]]) -> Jet:
+    """A jet through z_moved <- exp(bound·tanh r₀) z_moved + r₁, one after the other.
+
+    ``couplings``: of each the network that makes r, ``moved`` and ``bound``; bound < 0 asks for
+    the inverse of the coupling with the bound -bound.
+    """
+    networks = [network for network, *_ in couplings]
+    scalars = [(moved, *network.omegas, bound) for network, moved, bound in couplings]
+    return _push("coupling", jet, networks, scalars)
 
 
-def _push(what: str, jet: Jet, network: Network, moved: int = 0, bound: float = 0.0) -> Jet:
+def _push(what: str, jet: Jet, networks: list[Network], scalars: list[tuple]) -> Jet:
     second = jet.second
     if jet.pairs and second is None:
         second = jet.value.new_zeros(len(jet.pairs), *jet.value.shape)
     rows = torch.cat([part for part in (jet.value[None], jet.first, second) if part is not None])
-    layers = zip(network.weights, network.biases, strict=True)
-    made = _Jets.apply(
-        *(what, rows, _tensor(jet.pairs), (moved, *network.omegas, bound)),
-        *(part for layer in layers for part in layer),
-    )
+    layers = [
+        part
+        for network in networks
+        for layer in zip(network.weights, network.biases, strict=True)
+        for part in layer
+    ]
+    made = _Jets.apply(what, rows, jet.pairs, scalars, *layers)
     split = 1 + len(jet.first)
     return Jet(made[0], made[1:split], jet.pairs, made[split:] if jet.pairs else None)

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from renderer.quietly import wp
-from splatmorph.flows.native.threads import on_all_threads
+from renderer.threads import launch_parts
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
@@ -121,7 +121,7 @@ def knots(
     width = 0 if field is base else field.width
     scalars = [len(base.centers), width, base.rounding**2, h, steps, int(every)]
     parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
-    on_all_threads(_kernel(dim, jacobian), [*arrays, *outputs, *scalars], parts)
+    launch_parts(_kernel(dim, jacobian), [*arrays, *outputs, *scalars], parts)
     return states, rates
 
 

@@ -1,8 +1,9 @@
 for (long p = points * part / parts; p < end; p += LANES) {
     const int count = end - p < LANES ? (int)(end - p) : LANES;
-    gather(given.from, inputs, channels, p, count, x);
-    gather(given.slope_to, outputs, channels, p, count, slope_raw);
-    recall_network(p, count);
+    gather(given.from, INPUTS, CHANNELS, p, count, x);
+    gather(given.slope_to, OUTPUTS, CHANNELS, p, count, slope_raw);
+    run_network();
     reverse_network();
-    scatter(slope_x, inputs, channels, p, count, given.slope_from);
+    scatter(slope_x, INPUTS, CHANNELS, p, count, given.slope_from);
 }
+} // layer

@@ -67,9 +67,9 @@ auto rate = [&](const Floats* state, Floats* out) {
             const float* const w = first + o * (DIM + 1);
             Floats z = (Floats)w[DIM];
             for (int j = 0; j < DIM; ++j) z += state[j] * w[j];
-            hidden[0][o] = sine(z);
+            Floats turn;
+            hidden[0][o] = sine_cosine(z, turn);
             if constexpr (JACOBIAN) {
-                const Floats turn = sine(z + 1.57079633f);
                 for (int j = 0; j < DIM; ++j) hidden[1 + j][o] = turn * w[j];
             }
         }
@@ -87,10 +87,10 @@ auto rate = [&](const Floats* state, Floats* out) {
                 }
             for (int b = 0; b < BLOCK; ++b) {
                 const float* const w = last + (o + b) * DIM;
-                const Floats h = sine(z[0][b]);
+                Floats turn;
+                const Floats h = sine_cosine(z[0][b], turn);
                 for (int i = 0; i < DIM; ++i) v[i] += h * w[i];
                 if constexpr (JACOBIAN) {
-                    const Floats turn = sine(z[0][b] + 1.57079633f);
                     for (int j = 0; j < DIM; ++j) {
                         const Floats along = turn * z[1 + j][b];
                         for (int i = 0; i < DIM; ++i) slope[i][j] += along * w[i];

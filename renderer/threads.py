@@ -1,0 +1,51 @@
+"""Native kernels on several threads: Warp runs a kernel on one thread of the CPU."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import itertools
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from typing import Any
+
+from renderer.quietly import wp
+
+
+def together(task: Callable[[int], object], threads: int) -> None:
+    """task(0) … task(threads - 1) at once."""
+    if threads == 1:
+        task(0)
+        return
+    shares = [_pool(threads).submit(task, number) for number in range(threads)]
+    try:
+        wait(shares)
+    finally:  # an interrupt must not free what the threads still write to
+        wait(shares)
+    for share in shares:
+        share.result()
+
+
+def launch_parts(kernel: Any, inputs: Sequence[Any], parts: int) -> None:
+    """Launch ``kernel`` on the CPU once a part, with ``inputs``, ``parts`` and its number."""
+    # Compiled here, lest two threads do it; on the CPU blocks are of one.
+    kernel.module.load(wp.get_device("cpu"), 1)
+    together(lambda part: wp.launch(kernel, 1, [*inputs, parts, part], device="cpu"), parts)
+
+
+@functools.cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    """So many threads; where they are as many as the cores, one on each.
+
+    Left to itself, the system at times keeps two of them on one core for a whole frame.
+    """
+    free = sorted(os.sched_getaffinity(0)) if hasattr(os, "sched_setaffinity") else []
+
+    def stay_on_one_core() -> None:
+        if len(free) == threads:
+            with contextlib.suppress(OSError):
+                os.sched_setaffinity(0, {free[next(numbers)]})
+
+    numbers = itertools.count()
+    return ThreadPoolExecutor(threads, "native", stay_on_one_core)
