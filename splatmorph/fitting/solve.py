@@ -30,10 +30,10 @@ def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) ->
     """Φ(q, -1/2) - Φ(p, 1/2), (k, dim): zero where an autonomous flow meets its landmarks."""
     steps = round(0.5 / TRAINING_STEP)
     if len(p) >= MANY_LANDMARKS and isinstance(velocity, SplineField) and p.device.type == "cpu":
-        from splatmorph.flows.native import kernel
+        from splatmorph.flows.native import path
 
         forward, backward = (
-            kernel.knots(velocity, x.float(), h, steps, jacobian=False, every=False)[0][0]
+            path.knots(velocity, x.float(), h, steps, jacobian=False, every=False)[0][0]
             for x, h in ((p, TRAINING_STEP), (q, -TRAINING_STEP))
         )
         return (backward - forward).to(p)

@@ -60,10 +60,10 @@ class Node(Flow):
             return u
         count = math.ceil(float(column.abs().max()) * self.steps - 1e-9)
         if count and column.ndim == 0 and self._natively(u):
-            from splatmorph.flows.native import kernel
+            from splatmorph.flows.native import path
 
             h = float(column) / count
-            return kernel.knots(self.field, u, h, count, jacobian=False, every=False)[0][0]
+            return path.knots(self.field, u, h, count, jacobian=False, every=False)[0][0]
         return runge_kutta(self.field, u, column, count)
 
     def unit_trajectory(
@@ -89,16 +89,16 @@ class Node(Flow):
             return False
         if u.requires_grad or any(p.requires_grad for p in self.field.parameters()):
             return False
-        from splatmorph.flows.native import kernel
+        from splatmorph.flows.native import path
 
-        return kernel.takes(self.field)
+        return path.takes(self.field)
 
     def _knots(self, u: Tensor, sign: float, count: int, jacobian: bool) -> tuple[Tensor, Tensor]:
         """States and rates at the knots 0, 1/steps, … count/steps, forwards or backwards."""
         if self._natively(u):
-            from splatmorph.flows.native import kernel
+            from splatmorph.flows.native import path
 
-            return kernel.knots(self.field, u, sign / self.steps, count, jacobian=jacobian)
+            return path.knots(self.field, u, sign / self.steps, count, jacobian=jacobian)
         rates = self._rates(jacobian)
         states = [_joint(u, jacobian)]
         slopes = [rates(states[0])]

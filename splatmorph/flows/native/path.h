@@ -2,6 +2,20 @@
 // Compiled once for each (DIM, JACOBIAN): the state of a point is x, and ∂Φ/∂x where asked.
 // v = affine part + spline over `count` centers + a SIREN with two hidden layers of `width`.
 constexpr int STATE = DIM + JACOBIAN * DIM * DIM;
+struct Arguments {                                     // the twin of path.py's
+    const float *starts;                               // points × DIM
+    const float *affine;                               // (1 + DIM) × DIM: velocity at 0, then slopes
+    const float *spline;                               // centers × (center, weight)
+    const float *network;                              // see below
+    float *states, *rates;                             // knots × points × STATE
+    long points, centers, width, steps, every;
+    double rounding_squared, h;
+};
+const Arguments& given = *(const Arguments*)arguments;
+const float* const affine = given.affine;
+const long points = given.points, steps = given.steps, every = given.every;
+const int count = given.centers, width = given.width;
+const float rounding_squared = given.rounding_squared, h = given.h;
 
 auto logarithm = [](Floats x) -> Floats {
     // Cephes' polynomial on [sqrt(1/2), sqrt(2)): relative error 1e-7.
@@ -19,7 +33,7 @@ auto logarithm = [](Floats x) -> Floats {
 };
 
 // The network is stored with its ω multiplied into the weights.
-const float* const first = network.data;               // width × (DIM weights, bias)
+const float* const first = given.network;               // width × (DIM weights, bias)
 const float* const second = first + width * (DIM + 1); // width × (width weights, bias)
 const float* const last = second + width * (width + 1);// width × DIM, then DIM biases
 
@@ -31,14 +45,14 @@ auto rate = [&](const Floats* state, Floats* out) {
     #pragma clang fp contract(fast)
     Floats v[DIM], slope[DIM][DIM];
     for (int i = 0; i < DIM; ++i) {
-        v[i] = (Floats)affine.data[i];
+        v[i] = (Floats)affine[i];
         for (int j = 0; j < DIM; ++j) {
-            slope[i][j] = (Floats)affine.data[(1 + j) * DIM + i];
+            slope[i][j] = (Floats)affine[(1 + j) * DIM + i];
             v[i] += slope[i][j] * state[j];
         }
     }
     for (int k = 0; k < count; ++k) {
-        const float* const center = spline.data + k * 2 * DIM;
+        const float* const center = given.spline + k * 2 * DIM;
         const float* const weight = center + DIM;
         Floats offset[DIM], squared = (Floats)rounding_squared;
         for (int i = 0; i < DIM; ++i) {
@@ -109,7 +123,6 @@ auto rate = [&](const Floats* state, Floats* out) {
             }
 };
 
-const long points = starts.shape[0] / DIM;
 const long begin = points * part / parts / LANES * LANES;
 const long end = part + 1 == parts ? points : points * (part + 1) / parts / LANES * LANES;
 for (long p = begin; p < end; p += LANES) {
@@ -117,7 +130,7 @@ for (long p = begin; p < end; p += LANES) {
     const int lanes = end - p < LANES ? (int)(end - p) : LANES;
     Floats x[STATE], k1[STATE], k[STATE], sum[STATE], next[STATE];
     for (int i = 0; i < DIM; ++i)
-        for (int l = 0; l < LANES; ++l) x[i][l] = starts.data[(p + (l < lanes ? l : 0)) * DIM + i];
+        for (int l = 0; l < LANES; ++l) x[i][l] = given.starts[(p + (l < lanes ? l : 0)) * DIM + i];
     for (int i = DIM; i < STATE; ++i) x[i] = (Floats)((i - DIM) % (DIM + 1) == 0 ? 1.f : 0.f);
     auto save = [&](float* to, const Floats* from, long knot) {
         float* const row = to + (knot * points + p) * STATE;
@@ -126,7 +139,7 @@ for (long p = begin; p < end; p += LANES) {
     };
     rate(x, k1);
     for (int n = 0; n < steps; ++n) {
-        if (every) { save(states.data, x, n); save(rates.data, k1, n); }
+        if (every) { save(given.states, x, n); save(given.rates, k1, n); }
         for (int i = 0; i < STATE; ++i) { sum[i] = k1[i]; next[i] = x[i] + 0.5f * h * k1[i]; }
         rate(next, k);
         for (int i = 0; i < STATE; ++i) { sum[i] += 2.f * k[i]; next[i] = x[i] + 0.5f * h * k[i]; }
@@ -136,6 +149,6 @@ for (long p = begin; p < end; p += LANES) {
         for (int i = 0; i < STATE; ++i) x[i] += (h / 6.f) * (sum[i] + k[i]);
         if (every || n + 1 < steps) rate(x, k1);
     }
-    save(states.data, x, every ? steps : 0);
-    if (every) save(rates.data, k1, steps);
+    save(given.states, x, every ? steps : 0);
+    if (every) save(given.rates, k1, steps);
 }

@@ -4,6 +4,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from functools import cache
 from pathlib import Path
 
@@ -21,6 +22,17 @@ WORTH_SHARING = 64
 """Points from which a second thread pays."""
 
 
+class _Arguments(ctypes.Structure):
+    """The twin of the one in ``path.h``."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("starts", "affine", "spline", "network")),
+        *((name, ctypes.c_void_p) for name in ("states", "rates")),
+        *((name, ctypes.c_int64) for name in ("points", "centers", "width", "steps", "every")),
+        *((name, ctypes.c_double) for name in ("rounding_squared", "h")),
+    )
+
+
 @cache
 def _kernel(dim: int, jacobian: bool):
     folder = Path(__file__).parent
@@ -28,56 +40,11 @@ def _kernel(dim: int, jacobian: bool):
     constants = f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n"
 
     @wp.func_native(constants + lanes + path)
-    def integrate_natively(
-        starts: wp.array(dtype=float),
-        affine: wp.array(dtype=float),
-        spline: wp.array(dtype=float),
-        network: wp.array(dtype=float),
-        states: wp.array(dtype=float),
-        rates: wp.array(dtype=float),
-        count: int,
-        width: int,
-        rounding_squared: float,
-        h: float,
-        steps: int,
-        every: int,
-        parts: int,
-        part: int,
-    ): ...
+    def integrate_natively(arguments: wp.uint64, parts: int, part: int): ...
 
     @wp.kernel(enable_backward=False, module="unique")
-    def integrate(
-        starts: wp.array(dtype=float),
-        affine: wp.array(dtype=float),
-        spline: wp.array(dtype=float),
-        network: wp.array(dtype=float),
-        states: wp.array(dtype=float),
-        rates: wp.array(dtype=float),
-        count: int,
-        width: int,
-        rounding_squared: float,
-        h: float,
-        steps: int,
-        every: int,
-        parts: int,
-        part: int,
-    ):
-        integrate_natively(
-            starts,
-            affine,
-            spline,
-            network,
-            states,
-            rates,
-            count,
-            width,
-            rounding_squared,
-            h,
-            steps,
-            every,
-            parts,
-            part,
-        )
+    def integrate(arguments: wp.uint64, parts: int, part: int):
+        integrate_natively(arguments, parts, part)
 
     return integrate
 
@@ -114,14 +81,17 @@ def knots(
     base = field if isinstance(field, SplineField) else field.base
     network = torch.zeros(1) if field is base else _packed(field)
     arrays = [
-        wp.from_torch(tensor.detach().float().contiguous().flatten())
+        tensor.detach().float().contiguous()
         for tensor in (u, base.affine, torch.cat([base.centers, base.weights], 1), network)
     ]
-    outputs = [wp.from_torch(tensor.flatten()) for tensor in (states, rates)]
     width = 0 if field is base else field.width
-    scalars = [len(base.centers), width, base.rounding**2, h, steps, int(every)]
+    arguments = _Arguments(
+        *(array.data_ptr() for array in (*arrays, states, rates)),
+        *(count, len(base.centers), width, steps, every),
+        *(base.rounding**2, h),
+    )
     parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
-    launch_parts(_kernel(dim, jacobian), [*arrays, *outputs, *scalars], parts)
+    launch_parts(_kernel(dim, jacobian), [ctypes.addressof(arguments)], parts)
     return states, rates
 
 
