@@ -33,6 +33,7 @@ def random_flow(options: dict[str, str], dim: int, seed: int) -> Flow:
     elif isinstance(flow, Node) and isinstance(flow.field, SirenField):
         random_spline(flow.field.base, generator, size=0.05)
         flow.field.network.initialise(generator)
+        flow.steps = 32  # drawn networks are steeper than fitted ones, for which `fit` chooses
     elif isinstance(flow, Conjugate):
         flow.initialise(generator)
         flow.generator.copy_(0.3 * torch.randn(dim, dim, generator=generator))

@@ -94,14 +94,16 @@ def test_one_time_a_point_is_the_same_as_one_for_all(options: dict[str, str], di
 def test_jacobians_are_finite_differences(options: dict[str, str], dim: int, seed: int) -> None:
     flow = random_flow(options, dim, seed)
     x = points(flow, 8, seed)
-    path, transported = flow.trajectory_jacobian(x, [0.6, -0.4])
-    assert gap(flow, path[0], flow(x, 0.6)) < 1e-4
+    # Knots of every integrator: the derivative is the very one of the steps taken.
+    times = (0.625, -0.375)
+    path, transported = flow.trajectory_jacobian(x, list(times))
+    assert gap(flow, path[0], flow(x, times[0])) < 1e-6
     slope = flow.velocity_jacobian(x)
     h = 1e-5
     for j, step in enumerate(torch.eye(dim, dtype=torch.float64) * h):
-        for k, t in enumerate((0.6, -0.4)):
+        for k, t in enumerate(times):
             difference = (flow(x + step, t) - flow(x - step, t)) / (2 * h)
-            assert torch.allclose(transported[k, :, :, j], difference, atol=2e-3)
+            assert torch.allclose(transported[k, :, :, j], difference, atol=1e-4)
         difference = (flow.velocity(x + step) - flow.velocity(x - step)) / (2 * h)
         assert torch.allclose(slope[:, :, j], difference, atol=1e-5)
 
