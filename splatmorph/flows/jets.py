@@ -9,11 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import reduce
 from itertools import combinations_with_replacement
 
 import torch
 from torch import Tensor
-from torch.nn.functional import linear
+
+FEW = 3
+"""Columns of a matrix that are summed one by one."""
 
 Pairs = tuple[tuple[int, int], ...]
 
@@ -44,9 +47,11 @@ class Jet:
 
     def linear(self, weight: Tensor, bias: Tensor | None = None) -> Jet:
         """⟨Wz + b, Wż, Wz̈⟩ for ``weight`` (k', k) and ``bias`` (k',)."""
-        moved = linear(self.value, weight, bias)
-        second = None if self.second is None else self.second @ weight.T
-        return Jet(moved, self.first @ weight.T, self.pairs, second)
+        moved = _times(self.value, weight)
+        if bias is not None:
+            moved = moved + bias
+        second = None if self.second is None else _times(self.second, weight)
+        return Jet(moved, _times(self.first, weight), self.pairs, second)
 
     def activate(self, activation: Activation) -> Jet:
         """⟨g(z), g'(z) ż, g'(z) z̈ + g''(z) ż żᵀ⟩ for an elementwise g."""
@@ -121,4 +126,13 @@ class Jet:
         d = len(self.first)
         where = {pair: place for place, pair in enumerate(self.pairs)}
         order = [where[min(i, j), max(i, j)] for i in range(d) for j in range(d)]
-        return self._bent()[order].permute(1, 2, 0).unflatten(2, (d, d))
+        bent = self._bent().unbind()
+        return torch.stack([bent[k] for k in order], -1).unflatten(2, (d, d))
+
+
+def _times(z: Tensor, weight: Tensor) -> Tensor:
+    """W z for z (…, k). Few columns are summed: matrix products take longer to wake threads."""
+    if weight.shape[1] > FEW:
+        return z @ weight.T
+    terms = (z[..., k, None] * column for k, column in enumerate(weight.unbind(1)))
+    return reduce(torch.add, terms)
