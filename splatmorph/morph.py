@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TypeVar
+
+import torch
 
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.ramps import DEFAULT_RAMP, EASES, RAMPS
+from splatmorph.splitting import split_stretched
 from splatmorph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 Choice = TypeVar("Choice")
@@ -18,6 +22,7 @@ UNSEEN = 1e-6
 """The weight that stands for 0 where splats must stay: never drawn, and its logit is finite."""
 
 
+@dataclass(frozen=True, eq=False, repr=False)
 class Morph:
     """The union blend of the paper (eq. 7), G(t) = G⁰(t) ∪ G¹(t).
 
@@ -27,40 +32,42 @@ class Morph:
     defaults keep the surface solid and let shapes follow the flow. Below 0 only the source is
     left and above 1 only the target, carried on by the same flow: a caricature.
 
-    Arguments:
-        source, target: the splats at t = 0 and t = 1, world units.
-        flow: Φ, fitted from the source's landmarks to the target's.
-        ramp: how opacities fade, a name of ``RAMPS``.
-        covariance: what the flow does to shape and shading, a name of ``COVARIANCES``.
-        ease: how time runs, a name of ``EASES``.
-        stable_count: keep every splat of both in every frame, source before target, those of
-            weight 0 all but transparent, for players that want one count and order. The ends
-            are then the inputs plus unseen splats.
-
     Raises:
-        OptionError: a name that is none of these, or a time that is no finite number.
+        OptionError: a name that is none of the choices, a threshold of no use, or a time that is
+            no finite number.
     """
 
-    def __init__(
-        self,
-        source: Gaussians,
-        target: Gaussians,
-        flow: Flow,
-        *,
-        ramp: str = DEFAULT_RAMP,
-        covariance: str = DEFAULT_COVARIANCE,
-        ease: str = "linear",
-        stable_count: bool = False,
-    ) -> None:
-        self.source = source
-        self.target = target
-        self.flow = flow
-        self.ramp = ramp
-        self.covariance = covariance
-        self.stable_count = stable_count
-        self._ramp = chosen(RAMPS, ramp, "ramp")
-        self._transport = chosen(COVARIANCES, covariance, "covariance")
-        self._ease = chosen(EASES, ease, "ease")
+    source: Gaussians
+    """The splats at t = 0, world units."""
+    target: Gaussians
+    """The splats at t = 1."""
+    flow: Flow
+    """Φ, fitted from the source's landmarks to the target's."""
+    _: KW_ONLY
+    ramp: str = DEFAULT_RAMP
+    """How opacities fade, a name of ``RAMPS``."""
+    covariance: str = DEFAULT_COVARIANCE
+    """What the flow does to shape and shading, a name of ``COVARIANCES``."""
+    ease: str = "linear"
+    """How time runs, a name of ``EASES``."""
+    stable_count: bool = False
+    """Keep every splat of both in every frame, source before target, those of weight 0 all but
+    transparent, for players that want one count and order. The ends are then the inputs plus
+    unseen splats."""
+    split: float | None = None
+    """Split the splats that the flow stretches on their way from one end to the other beyond so
+    many times their length; only strictly between 0 and 1, where a half is fading."""
+    _split_halves: dict[int, Gaussians] = field(init=False, default_factory=dict)
+
+    def __post_init__(self) -> None:
+        chosen(RAMPS, self.ramp, "ramp")
+        chosen(COVARIANCES, self.covariance, "covariance")
+        chosen(EASES, self.ease, "ease")
+        if self.split is not None and not 1 < self.split < math.inf:
+            raise OptionError(
+                f"split is {self.split}, expected a number above 1: how many times its length a "
+                "splat may grow before it is split"
+            )
 
     def at(self, t: float) -> Gaussians:
         """The morph at t: ``source`` itself at 0 and ``target`` itself at 1, bit for bit."""
@@ -72,7 +79,8 @@ class Morph:
         A splat that the flow carries to infinity raises ``NonFiniteError`` at that frame.
         """
         check_times(times)
-        eased = [self._ease(t) for t in times]
+        ease = EASES[self.ease]
+        eased = [ease(t) for t in times]
         sources = self._half(self.source, eased, leaves=1)
         targets = self._half(self.target, [t - 1 for t in eased], leaves=-1)
         return map(_joined, sources, targets)
@@ -87,21 +95,53 @@ class Morph:
         # A half that is gone needn't travel on: the flow may lead anywhere beyond the other end.
         times = [leaves * min(leaves * t, 1) for t in times]
         weights = [min(1 - leaves * t, 1.0) for t in times]
-        shown = [weight > 0 or self.stable_count for weight in weights]
-        stops = sorted({t for t, seen in zip(times, shown, strict=True) if seen and t != 0})
-        frame = self._transport(gaussians, self.flow, stops) if stops else None
-        for t, weight, seen in zip(times, weights, shown, strict=True):
-            if not seen:
+        least = UNSEEN if self.stable_count else 0.0
+        weights = [max(weight, least) for weight in weights]
+        timed = list(zip(times, weights, strict=True))
+        parts = self._parts(gaussians, leaves)
+        whole = self._travels(gaussians, [t for t, weight in timed if weight == 1])
+        fading = self._travels(parts, [t for t, weight in timed if 0 < weight < 1])
+        ramp = RAMPS[self.ramp]
+        added = parts.select(torch.arange(len(gaussians), len(parts)))
+        for t, weight in timed:
+            if weight == 0:
                 yield None
-                continue
-            moved = gaussians if frame is None or t == 0 else frame(stops.index(t))
+            elif weight < 1:
+                yield ramp(fading(t), weight)
+            elif self.stable_count and len(added):
+                yield Gaussians.union(whole(t), ramp(added, UNSEEN))
+            else:
+                yield whole(t)
+
+    def _parts(self, gaussians: Gaussians, leaves: int) -> Gaussians:
+        """What a half consists of while it fades, the same whatever the times."""
+        if self.split is None:
+            return gaussians
+        if leaves not in self._split_halves:
+            self._split_halves[leaves] = split_stretched(gaussians, self.flow, leaves, self.split)
+        return self._split_halves[leaves]
+
+    def _travels(
+        self, gaussians: Gaussians, times: Sequence[float]
+    ) -> Callable[[float], Gaussians]:
+        """The splats at any of ``times`` after their start, from one integration."""
+        stops = sorted({t for t in times if t != 0})
+        transport = COVARIANCES[self.covariance]
+        frame = transport(gaussians, self.flow, stops) if stops else None
+
+        def at(t: float) -> Gaussians:
+            if frame is None or t == 0:
+                return gaussians
+            moved = frame(stops.index(t))
             lost = len(moved) - int(moved.means.isfinite().all(1).sum())
             if lost:
                 raise NonFiniteError(
                     f"the flow carries {lost} of {len(moved)} splats to infinity: expected t "
                     "closer to [0, 1], or landmarks nearer to each other"
                 )
-            yield moved if weight == 1 else self._ramp(moved, max(weight, UNSEEN))
+            return moved
+
+        return at
 
 
 def _joined(source: Gaussians | None, target: Gaussians | None) -> Gaussians:

@@ -71,7 +71,7 @@ def calibrated(gaussians: Gaussians, weight: float) -> Gaussians:
     neither copy exceeds its α.
     """
     drawn = _drawn_opacities(gaussians)
-    factor, narrowing, other = _interpolated(_best_gaussians(weight), drawn)
+    factor, narrowing, other = interpolated(_best_gaussians(weight), drawn)
     factor = torch.minimum(factor * (1 + FAINTEST / drawn), factor / other).clamp_max(1)
     faded = _scaled(gaussians, factor.log())
     return replace(faded, log_scales=faded.log_scales - 0.5 * narrowing.log()[:, None])
@@ -100,8 +100,8 @@ def _best_gaussians(weight: float) -> Tensor:
 _GAUSS_LEGENDRE = tuple(map(torch.from_numpy, np.polynomial.legendre.leggauss(16)))
 
 
-def _interpolated(table: Tensor, alpha: Tensor) -> tuple[Tensor, ...]:
-    """Columns of a table over α in [0, DENSEST], (STEPS + 1, c), at α (n,): c times (n,)."""
+def interpolated(table: Tensor, alpha: Tensor) -> tuple[Tensor, ...]:
+    """Columns of a table over α = 0 … DENSEST, (STEPS + 1, c), at α (n,): c times (n,)."""
     place = alpha * (STEPS / DENSEST)
     left = place.int().clamp_max(STEPS - 1)
     table = table.to(alpha)

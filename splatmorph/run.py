@@ -219,7 +219,18 @@ def morph_of(run: Run, inputs: Sequence[Input], **options: Any) -> Morph | Chain
 
 
 def average_of(run: Run, inputs: Sequence[Input], **options: Any) -> Gaussians:
-    """The average splat of a run that was fitted with ``--mean``; ``options`` as ``average``'s."""
+    """The average splat of a run that was fitted with ``--mean``.
+
+    Args:
+        run: what ``open_run`` gave.
+        inputs: what ``load_inputs`` gave.
+        options: those of ``average``.
+
+    Raises:
+        OptionError: an option of morphs only, or one that ``average`` refuses.
+    """
+    if timed := sorted(options.keys() - {"ramp", "covariance"}):
+        raise OptionError(f"the run is an average, which has no t: leave out --{timed[0]}")
     return average([one.gaussians for one in inputs], [leg.flow for leg in run.legs], **options)
 
 

@@ -117,11 +117,12 @@ class Blending:
     """What the flow does to shape and shading: full (the default), rotate or fixed, the paper's."""
     ease: str | None = None
     """How time runs."""
+    split: float | None = None
+    """Split splats that the flow stretches to more than so many times their length, 2 say."""
 
-    def chosen(self) -> dict[str, str]:
+    def chosen(self) -> dict[str, Any]:
         """The options of ``Morph`` that were given; the others keep their defaults."""
-        options = {"ramp": self.ramp, "covariance": self.covariance, "ease": self.ease}
-        return {name: value for name, value in options.items() if value is not None}
+        return {name: value for name, value in vars(self).items() if value is not None}
 
 
 @Parameter(name="*")

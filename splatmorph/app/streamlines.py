@@ -101,7 +101,6 @@ def _refitted(subject: Subject, kind: str) -> Subject:
     from splatmorph.fitting import fit
     from splatmorph.flows import make_flow
     from splatmorph.landmarks import Landmarks
-    from splatmorph.morph import Morph
 
     flow = make_flow(kind)
     names = subject.landmark_names
@@ -115,4 +114,4 @@ def _refitted(subject: Subject, kind: str) -> Subject:
                 progress.step, progress.steps, f"error {progress.mse:.2e}"
             ),
         )
-    return replace(subject, morph=Morph(subject.morph.source, subject.morph.target, flow))
+    return replace(subject, morph=replace(subject.morph, flow=flow))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import pytest
 import torch
@@ -13,6 +14,7 @@ from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
 from splatmorph.ramps import RAMPS
+from splatmorph.run import Run, average_of
 
 A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (20, 30, 25))
 
@@ -95,3 +97,9 @@ def test_mean_landmarks_are_those_common_to_all_by_name() -> None:
         mean_landmarks([first, Landmarks(points)])
     with pytest.raises(LandmarkError, match="3 landmark names are common"):
         mean_landmarks([first, Landmarks(points[:4], tuple("abcz"))])
+
+
+@pytest.mark.parametrize("option", [{"ease": "smooth"}, {"split": 2.0}])
+def test_an_average_refuses_what_only_a_morph_has(option: dict[str, Any]) -> None:
+    with pytest.raises(OptionError, match=f"has no t: leave out --{next(iter(option))}"):
+        average_of(Run((), (), {"mean": True}), [], **option)
