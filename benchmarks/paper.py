@@ -3,8 +3,8 @@
     python benchmarks/paper.py DATA -o FOLDER [--quick]
 
 DATA is the folder of real inputs (landmarks3d/, faces2d/, heads/). ``--quick`` trains for a few
-steps only, to see that everything runs. Warping times are in benchmarks/warping.py, what happens
-between the landmarks in benchmarks/generalisation.py.
+steps only, to see that everything runs. What happens between the landmarks is in
+benchmarks/generalisation.py.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 
 import matplotlib as mpl
 import torch
+import warping
 from pairs import Pair, frll, head, nersemble
 
 from splatmorph.fitting import FitConfig, FitReport, fit
@@ -224,6 +225,8 @@ def report(data: Path, folder: Path, quick: bool) -> Iterator[str]:
     yield from integration_table(pairs[1], quick)
     yield from thin_plate_table(pairs[1], quick)
     yield from differentiation_table(3 if quick else 20)
+    yield "## Warping\n"
+    yield from warping.table(20_000 if quick else warping.SPLATS, warping.FRAMES)
 
 
 def main() -> None:
