@@ -104,9 +104,9 @@ def _carrier(quats: Tensor, jacobians: Tensor) -> Callable[..., tuple[Tensor, Te
     """``carried_shapes`` in C++ where that is worth loading, or its plain twin."""
     if len(quats) < NATIVE_FROM or quats.device.type != "cpu" or quats.dtype != jacobians.dtype:
         return carried_shapes
-    from splatmorph.native import kernel
+    from splatmorph.native import shapes
 
-    return kernel.carried_shapes if quats.dtype in kernel.STORED else carried_shapes
+    return shapes.carried_shapes if quats.dtype in shapes.STORED else carried_shapes
 
 
 def _interpolated(paths: Mapping[str, Tensor], place: float) -> dict[str, Any]:

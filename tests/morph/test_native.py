@@ -9,13 +9,13 @@ from torch import Tensor
 
 from splatmorph import transport
 from splatmorph.covariance import carried_shapes, rotation_matrices
-from splatmorph.native import kernel
+from splatmorph.native import shapes
 from splatmorph.transport import COVARIANCES
 
 COUNT = 1003
 MOMENTS = 8
 
-every_dtype = pytest.mark.parametrize("dtype", kernel.STORED)
+every_dtype = pytest.mark.parametrize("dtype", shapes.STORED)
 every_stretch = pytest.mark.parametrize("stretch", [True, False])
 
 
@@ -46,7 +46,7 @@ def test_native_shapes_are_the_plain_ones(shape: str, stretch: bool, dtype: torc
     }[shape].to(dtype)
     quats = 3 * normal(COUNT, 4, seed=2).to(dtype)
     jacobians = path_of_jacobians().to(dtype)
-    native = kernel.carried_shapes(quats, log_scales, jacobians, stretch=stretch)
+    native = shapes.carried_shapes(quats, log_scales, jacobians, stretch=stretch)
     plain = carried_shapes(quats, log_scales, jacobians, stretch=stretch)
     for ours, theirs in zip(native, plain, strict=True):
         assert ours.dtype == dtype
@@ -58,7 +58,7 @@ def test_native_needles_are_j_sigma_jt_in_every_direction(dtype: torch.dtype) ->
     quats = normal(COUNT, 4, seed=2).to(dtype)
     log_scales = 2 * normal(COUNT, 3, seed=1).to(dtype)
     jacobians = path_of_jacobians().to(dtype)
-    found = roots(*kernel.carried_shapes(quats, log_scales, jacobians, stretch=True)[:2])
+    found = roots(*shapes.carried_shapes(quats, log_scales, jacobians, stretch=True)[:2])
     expected = (jacobians.double() @ roots(quats, log_scales)).flatten(0, 1)
     ratio = torch.linalg.solve(expected, found)
     error = (ratio @ ratio.mT - torch.eye(3)).flatten(1).norm(dim=1)
@@ -79,7 +79,7 @@ def test_native_folds_flats_and_far_scales_stay_finite() -> None:
     )[None]
     quats = normal(4, 4, seed=3).float()
     log_scales = torch.tensor([[-60.0, 0, 0], [-60, -60, 3], [1, 1, 1], [80, 0, -80]])
-    native = kernel.carried_shapes(quats, log_scales, cases, stretch=True)
+    native = shapes.carried_shapes(quats, log_scales, cases, stretch=True)
     assert native[0].isfinite().all()
     # What is pressed flat has a scale of 0, whose logarithm is none, or rounding.
     solid = [0, 3]
@@ -101,7 +101,7 @@ def test_native_shapes_are_the_same_on_any_number_of_threads_and_strides() -> No
         answers = []
         for count, given in ((1, jacobians), (2, jacobians), (3, apart)):
             torch.set_num_threads(count)
-            answers.append(kernel.carried_shapes(quats, log_scales, given, stretch=True))
+            answers.append(shapes.carried_shapes(quats, log_scales, given, stretch=True))
     finally:
         torch.set_num_threads(threads)
     for one, *others in zip(*answers, strict=True):

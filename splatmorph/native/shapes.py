@@ -3,13 +3,13 @@
 # they can't be kept as text either.
 """``shapes.h`` as Warp kernels, one for each dtype, with and without stretch."""
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
 import torch
 
 from renderer.quietly import wp
+from renderer.threads import launch_parts
 from splatmorph.covariance import LEAST, NEWTON_STEP, PARALLEL, SWEEPS
 
 STORED = {torch.float32: ("float", wp.float32), torch.float64: ("double", wp.float64)}
@@ -30,11 +30,11 @@ def _kernel(dtype: torch.dtype, stretch: bool):
         quats_in: wp.array2d(dtype=stored),
         log_scales_in: wp.array2d(dtype=stored),
         jacobians: wp.array4d(dtype=stored),
-        part: int,
-        parts: int,
         quats_out: wp.array3d(dtype=stored),
         log_scales_out: wp.array3d(dtype=stored),
         turns_out: wp.array3d(dtype=stored),
+        parts: int,
+        part: int,
     ): ...
 
     @wp.kernel(enable_backward=False, module="unique")
@@ -42,21 +42,21 @@ def _kernel(dtype: torch.dtype, stretch: bool):
         quats_in: wp.array2d(dtype=stored),
         log_scales_in: wp.array2d(dtype=stored),
         jacobians: wp.array4d(dtype=stored),
-        part: int,
-        parts: int,
         quats_out: wp.array3d(dtype=stored),
         log_scales_out: wp.array3d(dtype=stored),
         turns_out: wp.array3d(dtype=stored),
+        parts: int,
+        part: int,
     ):
         carry_natively(
             quats_in,
             log_scales_in,
             jacobians,
-            part,
-            parts,
             quats_out,
             log_scales_out,
             turns_out,
+            parts,
+            part,
         )
 
     return carry
@@ -64,16 +64,8 @@ def _kernel(dtype: torch.dtype, stretch: bool):
 
 def carried_shapes(quats, log_scales, jacobians, *, stretch):
     """As its plain twin, on all of torch's threads; tensors on the CPU, of one dtype."""
-    outputs = [quats.new_empty(*jacobians.shape[:2], channels) for channels in (4, 3, 4)]
-    arrays_in = list(map(wp.from_torch, (quats.contiguous(), log_scales.contiguous(), jacobians)))
-    arrays_out = list(map(wp.from_torch, outputs))
-    kernel = _kernel(quats.dtype, stretch)
-    kernel.module.load(wp.get_device("cpu"))
-    parts = torch.get_num_threads()
-
-    def launch(part: int) -> None:
-        wp.launch(kernel, dim=1, inputs=[*arrays_in, part, parts, *arrays_out], device="cpu")
-
-    with ThreadPoolExecutor(parts) as pool:
-        list(pool.map(launch, range(parts)))
-    return tuple(outputs)
+    outputs = tuple(quats.new_empty(*jacobians.shape[:2], channels) for channels in (4, 3, 4))
+    inputs = (quats.contiguous(), log_scales.contiguous(), jacobians)
+    arrays = [wp.from_torch(tensor) for tensor in (*inputs, *outputs)]
+    launch_parts(_kernel(quats.dtype, stretch), arrays, torch.get_num_threads())
+    return outputs
