@@ -1,4 +1,4 @@
-"""Native kernels on several threads: Warp runs a kernel on one thread of the CPU."""
+"""A pool of threads for native kernels: Warp runs a kernel on one thread of the CPU."""
 
 from __future__ import annotations
 
@@ -6,11 +6,8 @@ import contextlib
 import functools
 import itertools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from typing import Any
-
-from renderer.quietly import wp
 
 
 def together(task: Callable[[int], object], threads: int) -> None:
@@ -25,13 +22,6 @@ def together(task: Callable[[int], object], threads: int) -> None:
         wait(shares)
     for share in shares:
         share.result()
-
-
-def launch_parts(kernel: Any, inputs: Sequence[Any], parts: int) -> None:
-    """Launch ``kernel`` on the CPU once a part, with ``inputs``, ``parts`` and its number."""
-    # Compiled here, lest two threads do it; on the CPU blocks are of one.
-    kernel.module.load(wp.get_device("cpu"), 1)
-    together(lambda part: wp.launch(kernel, 1, [*inputs, parts, part], device="cpu"), parts)
 
 
 @functools.cache

@@ -1,6 +1,13 @@
 // The shapes of splats under a path of Jacobians, 8 splats at a time. The plain twin is
 // carried_shapes in covariance.py, which says what is computed and why.
 // Compiled once for each (STRETCH, Stored); doubles inside, for needles and pancakes.
+struct Arguments {                                     // the twin of shapes.py's
+    const Stored *quats_in, *log_scales_in;            // count × 4 and × 3
+    const Stored *jacobians;                           // knots × count × 3 × 3, `strides` apart
+    Stored *quats_out, *log_scales_out, *turns_out;    // knots × count × 4, × 3 and × 4
+    long knots, count, strides[4];
+};
+const Arguments& given = *(const Arguments*)arguments;
 constexpr int LANES = 8;
 typedef double Doubles __attribute__((ext_vector_type(8)));
 typedef decltype(Doubles() < Doubles()) Words;
@@ -123,7 +130,7 @@ auto orthogonalise = [&](Doubles (&columns)[3][3], Quat& axes) {
     }
 };
 
-const long count = quats_in.shape[0];
+const long count = given.count;
 const long groups = (count + LANES - 1) / LANES;
 const long end = groups * (part + 1) / parts;
 for (long group = groups * part / parts; group < end; ++group) {
@@ -134,8 +141,8 @@ for (long group = groups * part / parts; group < end; ++group) {
     Quat start;
     Doubles log_scales[3], scales[3], largest;
     for (int l = 0; l < LANES; ++l) {
-        for (int i = 0; i < 4; ++i) start.at[i][l] = quats_in.data[place(l) * 4 + i];
-        for (int i = 0; i < 3; ++i) log_scales[i][l] = log_scales_in.data[place(l) * 3 + i];
+        for (int i = 0; i < 4; ++i) start.at[i][l] = given.quats_in[place(l) * 4 + i];
+        for (int i = 0; i < 3; ++i) log_scales[i][l] = given.log_scales_in[place(l) * 3 + i];
     }
     largest = __builtin_elementwise_max(log_scales[0], log_scales[1]);
     largest = __builtin_elementwise_max(largest, log_scales[2]);
@@ -146,12 +153,16 @@ for (long group = groups * part / parts; group < end; ++group) {
         }
     const Matrix rotation = matrix_of(start);
     Quat axes = start, turn = {{all(1), all(0), all(0), all(0)}};
-    for (long knot = 0; knot < jacobians.shape[0]; ++knot) {
+    for (long knot = 0; knot < given.knots; ++knot) {
         Matrix jacobian;
         for (int i = 0; i < 3; ++i)
             for (int j = 0; j < 3; ++j)
-                for (int l = 0; l < LANES; ++l)
-                    jacobian.at[i][j][l] = wp::index(jacobians, (int)knot, (int)place(l), i, j);
+                for (int l = 0; l < LANES; ++l) {
+                    const long index[] = {knot, place(l), i, j};
+                    long at = 0;
+                    for (int k = 0; k < 4; ++k) at += index[k] * given.strides[k];
+                    jacobian.at[i][j][l] = given.jacobians[at];
+                }
         const Matrix polar = polar_rotation(jacobian);
         turn = quaternion_of(polar, turn);
         Doubles pushed[3] = {log_scales[0], log_scales[1], log_scales[2]};
@@ -187,9 +198,9 @@ for (long group = groups * part / parts; group < end; ++group) {
         const Quat turned = product(turn, axes);
         for (int l = 0; l < lanes; ++l) {
             const long row = knot * count + first + l;
-            for (int i = 0; i < 4; ++i) quats_out.data[row * 4 + i] = (Stored)turned.at[i][l];
-            for (int i = 0; i < 3; ++i) log_scales_out.data[row * 3 + i] = (Stored)pushed[i][l];
-            for (int i = 0; i < 4; ++i) turns_out.data[row * 4 + i] = (Stored)turn.at[i][l];
+            for (int i = 0; i < 4; ++i) given.quats_out[row * 4 + i] = (Stored)turned.at[i][l];
+            for (int i = 0; i < 3; ++i) given.log_scales_out[row * 3 + i] = (Stored)pushed[i][l];
+            for (int i = 0; i < 4; ++i) given.turns_out[row * 4 + i] = (Stored)turn.at[i][l];
         }
     }
 }

@@ -21,12 +21,13 @@ struct Arguments {                                         // the twin of jet.py
     float* to;                                             // what it makes of it
     const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
     float *slope_from, *slope_weights;                     // the latter parts × parameters
-    long points, width, parameters, moved;
+    long layers, points, width, parameters, moved;
     double first_omega, omega, bound;
 };
 // One network or coupling after the other, each part on points of its own.
-for (int layer = 0; layer < layers; ++layer) {
-const Arguments& given = ((const Arguments*)arguments)[layer];
+const Arguments* const every = (const Arguments*)arguments;
+for (int layer = 0; layer < every->layers; ++layer) {
+const Arguments& given = every[layer];
 const float *const first = given.first, *const second = given.second, *const last = given.last;
 const int width = given.width;
 const float first_omega = given.first_omega, omega = given.omega;

@@ -1,26 +1,28 @@
-# mypy: ignore-errors
-# Warp's annotations are values, which a type checker can't read.
 """Networks and couplings with derivatives in C++, as differentiable functions of torch."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Sequence
-from functools import cache
+from functools import cache, reduce
 from itertools import accumulate, combinations_with_replacement
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from renderer.quietly import wp
-from renderer.threads import launch_parts
+from renderer.snippet import run_snippet
 from splatmorph.flows.jets import Jet, Pairs
 from splatmorph.flows.network import Network
 
 WORTH_SHARING = 1 << 22
 """Products in the middle layers from which a second thread pays."""
+
+
+Scalars = tuple[int, float, float, float]
+"""The coordinate that a coupling moves, ω of the first and of the second layer, and the bound."""
 
 
 class _Arguments(ctypes.Structure):
@@ -30,13 +32,13 @@ class _Arguments(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("first", "first_bias", "second", "second_bias")),
         *((name, ctypes.c_void_p) for name in ("last", "last_bias", "from", "to")),
         *((name, ctypes.c_void_p) for name in ("slope_to", "slope_from", "slope_weights")),
-        *((name, ctypes.c_int64) for name in ("points", "width", "parameters", "moved")),
+        *((name, ctypes.c_int64) for name in ("layers", "points", "width", "parameters", "moved")),
         *((name, ctypes.c_double) for name in ("first_omega", "omega", "bound")),
     )
 
 
 @cache
-def _kernel(what: str, way: str, inputs: int, outputs: int, directions: int, pairs: Pairs):
+def _source(what: str, way: str, inputs: int, outputs: int, directions: int, pairs: Pairs) -> str:
     """``way`` forward or backward, for jets with so many ``directions`` and these ``pairs``."""
     constants, headers = "", ["lanes.h", "jet.h", f"{what}_{way}.h"]
     if way == "backward":
@@ -49,16 +51,7 @@ def _kernel(what: str, way: str, inputs: int, outputs: int, directions: int, pai
     constants += f"constexpr int INPUTS = {inputs}, OUTPUTS = {outputs};\n"
     constants += _constants("", directions, pairs)
     folder = Path(__file__).parent
-    texts = [(folder / header).read_text(encoding="utf-8") for header in headers]
-
-    @wp.func_native(constants + "\n".join(texts))
-    def run_natively(arguments: wp.uint64, layers: int, parts: int, part: int): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def run(arguments: wp.uint64, layers: int, parts: int, part: int):
-        run_natively(arguments, layers, parts, part)
-
-    return run
+    return constants + "\n".join((folder / name).read_text(encoding="utf-8") for name in headers)
 
 
 def _constants(prefix: str, directions: int, pairs: Pairs) -> str:
@@ -73,10 +66,17 @@ class _Jets(torch.autograd.Function):
     """A network, or couplings one after the other, on the rows of a jet; differentiable once."""
 
     @staticmethod
-    def forward(ctx, what: str, rows: Tensor, pairs: Pairs, scalars: list[tuple], *layers: Tensor):
+    def forward(
+        ctx: Any,
+        what: str,
+        rows: Tensor,
+        pairs: Pairs,
+        scalars: list[Scalars],
+        *layers: Tensor,
+    ) -> Tensor:
         """``rows`` (channels, m, inputs or dim): value, derivatives, second ones along ``pairs``.
 
-        ``scalars``: of each network the last of ``_Arguments``. ``layers``: of each the matrix,
+        ``layers``: of each the matrix,
         bias, matrix, bias, matrix, bias. -> (channels, m, outputs or dim)
         """
         channels, m, columns = rows.shape
@@ -84,7 +84,7 @@ class _Jets(torch.autograd.Function):
         outputs, count = len(layers[5]), len(scalars)
         made = rows.new_empty(count, channels, m, columns if what == "coupling" else outputs)
         given = [rows, *made[:-1]]
-        ctx.sizes = (m, width, sum(layer.numel() for layer in layers))
+        ctx.sizes = (count, m, width, sum(layer.numel() for layer in layers))
         ctx.shape = (inputs, outputs, channels - 1 - len(pairs), pairs)
         ctx.what, ctx.scalars = what, scalars
         ctx.save_for_backward(*given, *layers)
@@ -94,19 +94,19 @@ class _Jets(torch.autograd.Function):
             )
             for i, own in enumerate(scalars)
         ]
-        parts = _parts(count, channels, m, layers[0])
-        _run(_kernel(what, "forward", *ctx.shape), arguments, parts)
+        parts = _parts(count, channels * m, layers[0])
+        _run(_source(what, "forward", *ctx.shape), arguments, parts)
         return made[-1]
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, slope: Tensor):
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         """∂loss/∂made -> ∂loss/∂(rows, layers)."""
         count = len(ctx.scalars)
         given, layers = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
         sizes = [layer.numel() for layer in layers]
         starts = list(accumulate(sizes, initial=0))
-        parts = _parts(count, *slope.shape[:2], layers[0])
+        parts = _parts(count, slope[..., 0].numel(), layers[0])
         slopes = slope.new_empty(parts, starts[-1])
         slope_given = [torch.empty_like(rows) for rows in given]
         slope_made = [*slope_given[1:], slope.contiguous()]
@@ -115,32 +115,34 @@ class _Jets(torch.autograd.Function):
             arrays = (slope_made[i], slope_given[i], slopes[0, starts[6 * i] :])
             addresses = (*_addresses(layers, i, given[i], None), *(a.data_ptr() for a in arrays))
             arguments.append(_Arguments(*addresses, *ctx.sizes, *ctx.scalars[i]))
-        _run(_kernel(ctx.what, "backward", *ctx.shape), arguments, parts)
+        _run(_source(ctx.what, "backward", *ctx.shape), arguments, parts)
+        summed = reduce(torch.add, slopes)  # torch's own sum would wake threads for so many
         slopes_of_layers = [
             part.view(layer.T.shape).T if i % 6 == 0 else part.view(layer.shape)
-            for i, (part, layer) in enumerate(zip(sum(slopes).split(sizes), layers, strict=True))
+            for i, (part, layer) in enumerate(zip(summed.split(sizes), layers, strict=True))
         ]
         return None, slope_given[0], None, None, *slopes_of_layers
 
 
-def _addresses(layers: Sequence[Tensor], i: int, given: Tensor, made: Tensor | None) -> list:
+def _addresses(
+    layers: Sequence[Tensor], i: int, given: Tensor, made: Tensor | None
+) -> list[int | None]:
     tensors = [*layers[6 * i : 6 * i + 6], given, made]
     return [None if tensor is None else tensor.data_ptr() for tensor in tensors]
 
 
-def _parts(count: int, channels: int, m: int, first: Tensor) -> int:
-    products = count * channels * m * len(first) ** 2
+def _parts(count: int, rows: int, first: Tensor) -> int:
+    products = count * rows * len(first) ** 2
     return torch.get_num_threads() if products > WORTH_SHARING else 1
 
 
-def _run(kernel, arguments: list[_Arguments], parts: int) -> None:
-    packed = (_Arguments * len(arguments))(*arguments)
-    launch_parts(kernel, [ctypes.addressof(packed), len(packed)], parts)
+def _run(source: str, arguments: list[_Arguments], parts: int) -> None:
+    run_snippet(source, (_Arguments * len(arguments))(*arguments), parts)
 
 
 def push_network(jet: Jet, network: Network) -> Jet:
     """A jet through a network."""
-    return _push("network", jet, [network], [(0, *network.omegas, 0.0)])
+    return _push("network", jet, [network], [(0, *_omegas(network), 0.0)])
 
 
 def push_couplings(jet: Jet, couplings: Sequence[tuple[Network, int, float]]) -> Jet:
@@ -150,11 +152,16 @@ def push_couplings(jet: Jet, couplings: Sequence[tuple[Network, int, float]]) ->
     the inverse of the coupling with the bound -bound.
     """
     networks = [network for network, *_ in couplings]
-    scalars = [(moved, *network.omegas, bound) for network, moved, bound in couplings]
+    scalars = [(moved, *_omegas(network), bound) for network, moved, bound in couplings]
     return _push("coupling", jet, networks, scalars)
 
 
-def _push(what: str, jet: Jet, networks: list[Network], scalars: list[tuple]) -> Jet:
+def _omegas(network: Network) -> tuple[float, float]:
+    first, second = network.omegas
+    return first, second
+
+
+def _push(what: str, jet: Jet, networks: list[Network], scalars: list[Scalars]) -> Jet:
     second = jet.second
     if jet.pairs and second is None:
         second = jet.value.new_zeros(len(jet.pairs), *jet.value.shape)

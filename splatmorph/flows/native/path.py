@@ -1,5 +1,3 @@
-# mypy: ignore-errors
-# Warp's annotations are values, which a type checker can't read.
 """``path.h`` as Warp kernels, one for each dimension, with and without Jacobians."""
 
 from __future__ import annotations
@@ -10,8 +8,7 @@ from pathlib import Path
 
 import torch
 
-from renderer.quietly import wp
-from renderer.threads import launch_parts
+from renderer.snippet import run_snippet
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
@@ -34,19 +31,10 @@ class _Arguments(ctypes.Structure):
 
 
 @cache
-def _kernel(dim: int, jacobian: bool):
+def _source(dim: int, jacobian: bool) -> str:
     folder = Path(__file__).parent
     lanes, path = ((folder / name).read_text(encoding="utf-8") for name in ("lanes.h", "path.h"))
-    constants = f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n"
-
-    @wp.func_native(constants + lanes + path)
-    def integrate_natively(arguments: wp.uint64, parts: int, part: int): ...
-
-    @wp.kernel(enable_backward=False, module="unique")
-    def integrate(arguments: wp.uint64, parts: int, part: int):
-        integrate_natively(arguments, parts, part)
-
-    return integrate
+    return f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n{lanes}{path}"
 
 
 def takes(field: SplineField | SirenField) -> bool:
@@ -78,20 +66,21 @@ def knots(
     saved = steps + 1 if every else 1
     states = torch.empty(saved, count, state)
     rates = torch.empty_like(states) if every else states
-    base = field if isinstance(field, SplineField) else field.base
-    network = torch.zeros(1) if field is base else _packed(field)
+    if isinstance(field, SplineField):
+        base, network, width = field, torch.zeros(1), 0
+    else:
+        base, network, width = field.base, _packed(field), field.width
     arrays = [
         tensor.detach().float().contiguous()
         for tensor in (u, base.affine, torch.cat([base.centers, base.weights], 1), network)
     ]
-    width = 0 if field is base else field.width
     arguments = _Arguments(
         *(array.data_ptr() for array in (*arrays, states, rates)),
         *(count, len(base.centers), width, steps, every),
         *(base.rounding**2, h),
     )
     parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
-    launch_parts(_kernel(dim, jacobian), [ctypes.addressof(arguments)], parts)
+    run_snippet(_source(dim, jacobian), arguments, parts)
     return states, rates
 
 
