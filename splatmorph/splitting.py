@@ -25,6 +25,7 @@ from splatmorph.covariance import rotation_matrices
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.ramps import DENSEST, STEPS, interpolated, scaled_logits
+from splatmorph.transport import KNOTS, jacobian_blocks
 
 SHARE = math.sqrt(0.5)
 """Length of a child in its parent's: half the variance is theirs, half is their distance."""
@@ -32,14 +33,8 @@ SHARE = math.sqrt(0.5)
 ROUNDS = 3
 """How often children may be split again."""
 
-KNOTS = 8
-"""Moments of the way at which the stretch is looked at."""
-
 NEWTON_STEPS = 8
 """Enough for the last digit."""
-
-BLOCK = 1 << 15
-"""Splats whose Jacobians are held at a time."""
 
 
 @torch.no_grad()
@@ -71,9 +66,7 @@ def _longest(gaussians: Gaussians, flow: Flow, direction: int) -> Tensor:
     """(n, 3) the longest that each axis becomes on the way from t = 0 to ``direction``."""
     stops = [direction * k / KNOTS for k in range(1, KNOTS + 1)]
     lengths = gaussians.scales.clone()
-    for begin in range(0, len(gaussians), BLOCK):
-        block = slice(begin, begin + BLOCK)
-        _, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
+    for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
         axes = rotation_matrices(gaussians.quats[block].T).permute(2, 0, 1)
         stretches = (jacobians @ axes).square().sum(2).amax(0).sqrt()
         lengths[block] *= stretches.clamp_min(1)

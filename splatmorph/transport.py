@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
@@ -88,9 +88,7 @@ def _shapes_along(
     }
     for name, path in paths.items():
         path[0] = starts[name]
-    for begin in range(0, len(gaussians), BLOCK):
-        block = slice(begin, begin + BLOCK)
-        _, jacobians = flow.trajectory_jacobian(gaussians.means[block], stops)
+    for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
         carried = _carrier(quats, jacobians)(
             quats[block], log_scales[block], jacobians, stretch=stretch
         )
@@ -98,6 +96,15 @@ def _shapes_along(
             if name in paths:
                 paths[name][1:, block] = shapes
     return paths
+
+
+def jacobian_blocks(
+    flow: Flow, points: Tensor, times: Sequence[float]
+) -> Iterator[tuple[slice, Tensor]]:
+    """∂Φ/∂x at ``points`` (n, 3) after k ``times``, block by block: which points, (k, m, 3, 3)."""
+    for begin in range(0, len(points), BLOCK):
+        block = slice(begin, begin + BLOCK)
+        yield block, flow.trajectory_jacobian(points[block], times)[1]
 
 
 def _carrier(quats: Tensor, jacobians: Tensor) -> Callable[..., tuple[Tensor, Tensor, Tensor]]:
