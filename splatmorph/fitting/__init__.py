@@ -125,7 +125,7 @@ def _objective(
     if isinstance(flow, Node):
         return SirenObjective(flow, p, q, region, config)
     if isinstance(flow, Conjugate):
-        return ConjugateObjective(flow, p, q, region)
+        return ConjugateObjective(flow, p, q, region, config)
     if isinstance(flow, Ifmorph):
         return IfmorphObjective(flow, p, q, region)
     return None

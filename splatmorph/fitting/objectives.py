@@ -19,6 +19,18 @@ from splatmorph.metrics import padded_box
 FINE_STEPS = 8
 """Runge-Kutta steps to t = 1/2 when the true metric is taken."""
 
+STICKS = 2000
+"""Short sticks that the spline carries along, for an NCF to follow."""
+STICK = 0.1
+"""Their length in frame units."""
+BEYOND = 0.15
+"""How far beyond the box they lie, as a part of its sides: couplings reach everywhere, and what
+none asks for out there can be anything."""
+SLOPES = 0.1
+"""How much the square of a difference per length weighs against that of a place."""
+MET = 1e-6
+"""Mean squared gap of a landmark below which little is gained by meeting it closer."""
+
 
 SIREN_RECIPES = {
     ("spline", "hessian"): Recipe(150, 1e-2, 500, 1e-3, 1e-4),
@@ -37,9 +49,12 @@ class Region:
         self.sides = high - self.low
         self.domain = domain
 
-    def sample(self, count: int, generator: torch.Generator) -> Tensor:
-        """(count, dim) points; half of them from the object where there is one."""
-        noise = torch.rand(count, len(self.low), generator=generator)
+    def sample(self, count: int, generator: torch.Generator, beyond: float = 0.0) -> Tensor:
+        """(count, dim) points; half of them from the object where there is one.
+
+        ``beyond``: by what part of its sides the box is made larger at every face.
+        """
+        noise = (1 + 2 * beyond) * torch.rand(count, len(self.low), generator=generator) - beyond
         box = self.low + noise.to(self.low) * self.sides
         if self.domain is None:
             return box
@@ -111,16 +126,36 @@ class SirenObjective:
 
 
 class ConjugateObjective:
-    """NCF: the gap at t = 1/2, which an exact flow keeps at all t, and the energy of eq. 3."""
+    """NCF: the landmarks at both ends, and the spline's flow everywhere else.
 
-    def __init__(self, flow: Conjugate, p: Tensor, q: Tensor, region: Region) -> None:
+    The spline is the field of least second-order energy that meets the landmarks, and is solved
+    for. Where it takes the two ends of a short stick, there the NCF is asked to take them too: the
+    ends' mean and, in proportion to its length, their difference, which is a derivative. That needs
+    no derivatives of H, and what it lacks of the least energy is what it differs by.
+
+    A conjugate flow has one fixed point at most, the spline any number, so that the one cannot
+    always follow the other. The two errors are weighed by their logarithms: each step is worth the
+    part of either that it takes off, whatever their sizes.
+    """
+
+    def __init__(
+        self, flow: Conjugate, p: Tensor, q: Tensor, region: Region, config: FitConfig
+    ) -> None:
         self.module = flow
         self.p, self.q = p.float(), q.float()
-        self.region = region
-        # In the plane one coordinate alone steers the other, and more energy is needed to keep
-        # H from wrinkling beyond the landmarks.
-        weights = (1e-2, 3e-4) if flow.dim == 2 else (1e-3, 3e-6)
-        self.recipe = Recipe(600, 1e-2, 150, *weights)
+        self.recipe = Recipe(800, 7e-3, 150, 1.0, 0.2)
+        spline = SplineField(flow.dim)
+        settings = FitConfig(smoothing=config.smoothing)
+        solve_spline(spline, p, q, settings, lambda *_: None)
+        generator = torch.Generator().manual_seed(config.seed)
+        middle = region.sample(STICKS, generator, BEYOND)
+        along = STICK / 2 * directions(1, len(middle), flow.dim, generator)[0].to(middle)
+        sticks = torch.cat([middle - along, middle + along]).to(p)
+        half = torch.full_like(sticks[:, :1], 0.5)
+        self.starts, self.ends = (
+            runge_kutta(spline, sticks, time, FINE_STEPS // 2).float().unflatten(0, (2, -1))
+            for time in (-half, half)
+        )
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
         """Couplings near the identity, under the least-squares affine velocity."""
@@ -133,25 +168,32 @@ class ConjugateObjective:
         return list(self.module.parameters())
 
     def loss(self, weight: float, generator: torch.Generator) -> Tensor:
-        """Mean squared gap plus ``weight`` times the Jacobian energy of the velocity."""
-        x = self.region.sample(self.recipe.samples, generator)
-        e = directions(1, len(x), x.shape[1], generator).to(x)
-        slope = self.module.velocity_slopes(x, e)[0]
-        return self._gap().square().sum(1).mean() + weight * x.shape[1] * (
-            slope.square().sum(1).mean()
+        """Logarithm of the landmarks' error plus ``weight`` times that of the sticks'."""
+        chosen = torch.randint(self.starts.shape[1], (self.recipe.samples,), generator=generator)
+        starts, ends = (
+            points[:, chosen.to(points.device)].flatten(0, 1) for points in (self.starts, self.ends)
         )
+        gaps = self._gaps(torch.cat([self.p, starts]), torch.cat([self.q, ends]))
+        landmarks = torch.log(gaps[:, : len(self.p)].square().sum(2).mean() + MET)
+        if weight == 0:
+            return landmarks
+        one, other = gaps[:, len(self.p) :].unflatten(1, (2, -1)).unbind(1)
+        place = ((one + other) / 2).square().sum(2).mean()
+        slope = ((one - other) / STICK).square().sum(2).mean()
+        return landmarks + weight * torch.log(place + SLOPES * self.module.dim * slope)
 
     def mse(self) -> float:
-        """Mean squared gap a coordinate."""
-        return float(self._gap().square().mean())
+        """Mean squared gap a coordinate at both ends."""
+        return float(self._gaps(self.p, self.q).square().mean())
 
     def finish(self) -> None:
         """Nothing is left to do."""
 
-    def _gap(self) -> Tensor:
-        half = self.p.new_full((len(self.p),), 0.5)
-        ends = self.module.unit_forward(torch.cat([self.p, self.q]), torch.cat([half, -half]))
-        return ends[len(self.p) :] - ends[: len(self.p)]
+    def _gaps(self, p: Tensor, q: Tensor) -> Tensor:
+        """Φ(p, 1) - q and Φ(q, -1) - p: (2, k, dim)."""
+        whole = p.new_ones(len(p))
+        moved = self.module.unit_forward(torch.cat([p, q]), torch.cat([whole, -whole]))
+        return (moved - torch.cat([q, p])).unflatten(0, (2, -1))
 
 
 class IfmorphObjective:

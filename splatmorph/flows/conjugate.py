@@ -11,8 +11,9 @@ from splatmorph.flows.base import Flow
 from splatmorph.flows.jets import Activation, Jet
 from splatmorph.flows.network import Network
 
-LARGEST_LOG_SCALE = 1.0
-"""Bound on the logarithm of what one coupling stretches by: keeps the inverse well conditioned."""
+LARGEST_LOG_SCALE = 0.3
+"""Bound on the logarithm of what one coupling stretches by: keeps the inverse well conditioned,
+and a training from running away."""
 
 
 class Coupling(nn.Module):
@@ -30,35 +31,16 @@ class Coupling(nn.Module):
         self.back = [order.index(i) for i in range(dim)]
         self.network = Network([dim - 1, width, width, 2], **network)
 
-    def forward(self, z: Tensor) -> Tensor:
-        """(…, dim) -> (…, dim)."""
-        log_scale, shift = self._terms(z)
-        return self._replace(z, z[..., self.moved] * log_scale.exp() + shift)
-
-    def inverse(self, z: Tensor) -> Tensor:
-        """(…, dim) -> (…, dim), undoes ``forward``."""
-        log_scale, shift = self._terms(z)
-        return self._replace(z, (z[..., self.moved] - shift) * (-log_scale).exp())
-
     def push(self, jet: Jet) -> Jet:
-        """``forward`` with derivatives."""
+        """The coupling, with derivatives."""
         log_scale, shift = self._jets(jet, 1.0)
         return self._join(jet, jet.columns([self.moved]) * log_scale.activate(_exp) + shift)
 
     def push_inverse(self, jet: Jet) -> Jet:
-        """``inverse`` with derivatives."""
+        """Its inverse, with derivatives."""
         log_scale, shift = self._jets(jet, -1.0)
         difference = jet.columns([self.moved]) + shift.activate(_negative)
         return self._join(jet, difference * log_scale.activate(_exp))
-
-    def _terms(self, z: Tensor) -> tuple[Tensor, Tensor]:
-        raw = self.network(z[..., self.kept])
-        return LARGEST_LOG_SCALE * torch.tanh(raw[..., 0]), raw[..., 1]
-
-    def _replace(self, z: Tensor, moved: Tensor) -> Tensor:
-        columns = list(z.unbind(-1))
-        columns[self.moved] = moved
-        return torch.stack(columns, dim=-1)
 
     def _jets(self, jet: Jet, sign: float) -> tuple[Jet, Jet]:
         raw = self.network.push(jet.columns(self.kept))
@@ -71,19 +53,21 @@ class Coupling(nn.Module):
 class Conjugate(Flow):
     """Φ(x, t) = H⁻¹(Ψ(H(x), t)), Ψ(z, t) = e^{At} z + ∫₀ᵗ e^{Aτ} b dτ (paper, eq. 5).
 
-    H is a chain of ``layers`` affine couplings, each moving one coordinate in rotating order, so
-    H is a bijection of R^dim itself and Φ obeys the laws of a flow to rounding. The matrix
-    exponential is taken once for each distinct t.
+    H is a chain of ``layers`` affine couplings, so that it is a bijection of R^dim itself and Φ
+    obeys the laws of a flow to rounding. They move one coordinate after the other, and after every
+    round of dim the axes are turned: in the plane a coupling shears along one line, and only lines
+    in many directions make up a warp. The matrix exponential is taken once for each distinct t.
     """
 
     kind = "ncf"
+    turns: Tensor
 
     def __init__(
         self,
         dim: int,
         *,
-        layers: int = 6,
-        width: int = 64,
+        layers: int = 24,
+        width: int = 32,
         activation: str = "sine",
         first_omega: float = 10.0,
         omega: float = 4.0,
@@ -110,22 +94,20 @@ class Conjugate(Flow):
             for layer in range(layers)
         )
         self.couplings = nn.ModuleList(self.chain)
+        self.rounds = tuple(self.chain[i : i + dim] for i in range(0, layers, dim))
+        self.register_buffer("turns", _turns(dim, len(self.rounds)))
 
     def config(self) -> dict[str, Any]:
         """Kind, dimension and the network's options."""
         return {**super().config(), **self.options}
 
     def straighten(self, u: Tensor) -> Tensor:
-        """H: (…, dim) frame points -> (…, dim), where the flow is affine."""
-        for coupling in self.chain:
-            u = coupling(u)
-        return u
+        """H: (m, dim) frame points -> (m, dim), where the flow is affine."""
+        return self._push(Jet(u, u.new_empty(0, *u.shape))).value
 
     def bend(self, z: Tensor) -> Tensor:
         """H⁻¹."""
-        for coupling in reversed(self.chain):
-            z = coupling.inverse(z)
-        return z
+        return self._push_inverse(Jet(z, z.new_empty(0, *z.shape))).value
 
     def affine_flow(self, times: Tensor) -> tuple[Tensor, Tensor]:
         """e^{At} and ∫₀ᵗ e^{Aτ} b dτ for times (T,): (T, dim, dim) and (T, dim)."""
@@ -200,27 +182,45 @@ class Conjugate(Flow):
         return self._push_inverse(straight.linear(linear[0], shift[0])).hessian()
 
     def _push(self, jet: Jet) -> Jet:
-        if self.chain[0].network.takes_natively(jet):
-            return self._push_natively(jet, self.chain, LARGEST_LOG_SCALE)
-        for coupling in self.chain:
-            jet = coupling.push(jet)
-        return jet
+        turns = self.turns.to(jet.value)
+        for turn, couplings in zip(turns[:-1], self.rounds, strict=True):
+            jet = jet.linear(turn)
+            if couplings[0].network.takes_natively(jet):
+                jet = self._push_natively(jet, couplings, LARGEST_LOG_SCALE)
+            else:
+                for coupling in couplings:
+                    jet = coupling.push(jet)
+        return jet.linear(turns[-1])
 
     def _push_inverse(self, jet: Jet) -> Jet:
-        if self.chain[0].network.takes_natively(jet):
-            return self._push_natively(jet, self.chain[::-1], -LARGEST_LOG_SCALE)
-        for coupling in reversed(self.chain):
-            jet = coupling.push_inverse(jet)
+        turns = self.turns.to(jet.value)
+        jet = jet.linear(turns[-1].T)
+        for turn, couplings in zip(turns[:-1].flip(0), reversed(self.rounds), strict=True):
+            if couplings[0].network.takes_natively(jet):
+                jet = self._push_natively(jet, couplings[::-1], -LARGEST_LOG_SCALE)
+            else:
+                for coupling in reversed(couplings):
+                    jet = coupling.push_inverse(jet)
+            jet = jet.linear(turn.T)
         return jet
 
     @staticmethod
-    def _push_natively(jet: Jet, chain: tuple[Coupling, ...], bound: float) -> Jet:
+    def _push_natively(jet: Jet, couplings: tuple[Coupling, ...], bound: float) -> Jet:
         from splatmorph.flows.native.jet import push_couplings
 
-        return push_couplings(jet, [(each.network, each.moved, bound) for each in chain])
+        return push_couplings(jet, [(each.network, each.moved, bound) for each in couplings])
 
     def _affine_rate(self, z: Tensor) -> Tensor:
         return z @ self.generator.to(z).T + self.drift.to(z)
+
+
+def _turns(dim: int, rounds: int) -> Tensor:
+    # From the axes of the frame to those of the first round, from these to the next, and back.
+    generator = torch.Generator().manual_seed(0)
+    drawn = torch.randn(rounds, dim, dim, generator=generator, dtype=torch.float64)
+    whole = torch.eye(dim, dtype=torch.float64)[None]
+    axes = torch.cat([whole, torch.linalg.qr(drawn).Q, whole])
+    return axes[1:] @ axes[:-1].mT
 
 
 def _exp(z: Tensor, order: int) -> tuple[Tensor, ...]:

@@ -83,7 +83,7 @@ def test_couplings_and_their_inverses(kind: str, monkeypatch: pytest.MonkeyPatch
 
 
 def test_couplings_of_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
-    flow = Conjugate(2)
+    flow = Conjugate(2, layers=6)
     flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(2, 2, ((0, 0), (0, 1), (1, 1)), MANY)
     for push in (flow._push, flow._push_inverse):
