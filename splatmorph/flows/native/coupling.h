@@ -1,7 +1,7 @@
-// One coupling z_i <- exp(bound tanh r₀) z_i + r₁ with r the network of the other coordinates, or
-// with a negative bound its inverse z_i <- exp(bound tanh r₀) (z_i - r₁); the plain twin is
-// Coupling.push in flows/conjugate.py. The network is differentiated in its own inputs, and the
-// chain rule brings that to the rows of the jet, OUTER_DIRECTIONS and OUTER_PAIRS of them.
+// The axes turned by a matrix, then one coupling: z_i <- exp(bound tanh r₀) z_i + r₁ with r the
+// network of the other coordinates, or with a negative bound its inverse, z_i <- exp(bound tanh r₀)
+// (z_i - r₁); the plain twin is Coupling.push in flows/conjugate.py. The network is differentiated in
+// its own inputs, and the chain rule brings that to the OUTER_DIRECTIONS and OUTER_PAIRS of the jet.
 // Compiled once for each (OUTER_DIRECTIONS, OUTER_PAIRS, OUTER_PAIR).
 constexpr int OUTER = 1 + OUTER_DIRECTIONS + OUTER_PAIRS, DIM = INPUTS + 1, ROW = 2 * LANES;
 const int moved = given.moved;
@@ -12,6 +12,22 @@ float terms[CHANNELS * ROW];                               // rows of exp(bound 
 Floats scale[OUTER], shift[OUTER], factor[OUTER];
 Floats slope, bend, twist;                                 // of r₀ -> exp(bound tanh r₀)
 auto kept_at = [&](int row, int n) -> int { return (row * DIM + n + (n >= moved)) * LANES; };
+
+// Points turned by the matrix before the coupling, or with `back` slopes by its transpose.
+auto turn = [&](float* rows, bool back) {
+    #pragma clang fp contract(fast)
+    if (!given.turn) return;
+    for (int row = 0; row < OUTER; ++row) {
+        Floats turned[DIM];
+        for (int i = 0; i < DIM; ++i) {
+            turned[i] = (Floats)0.f;
+            for (int j = 0; j < DIM; ++j)
+                turned[i] += given.turn[back ? j * DIM + i : i * DIM + j]
+                    * load(rows + (row * DIM + j) * LANES);
+        }
+        for (int i = 0; i < DIM; ++i) store(rows + (row * DIM + i) * LANES, turned[i]);
+    }
+};
 
 auto seed = [&]() {
     for (int k = 0; k < CHANNELS * INPUTS * LANES; ++k) x[k] = 0.f;

@@ -36,6 +36,7 @@ for (long p = points * part / parts; p < end; p += LANES) {
     const int count = end - p < LANES ? (int)(end - p) : LANES;
     gather(given.from, DIM, OUTER, p, count, state);
     gather(given.slope_to, DIM, OUTER, p, count, slope_state);
+    turn(state, false);
     seed();
     run_network();
     meet();
@@ -65,6 +66,7 @@ for (long p = points * part / parts; p < end; p += LANES) {
     pull(raw, slope_raw, ROW, slope, bend, twist);
     reverse_network();
     for (int n = 0; n < INPUTS; ++n) add(slope_state + kept_at(0, n), load(slope_x + n * LANES));
+    turn(slope_state, true);
     scatter(slope_state, DIM, OUTER, p, count, given.slope_from);
 }
 } // layer

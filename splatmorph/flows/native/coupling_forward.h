@@ -3,6 +3,7 @@ for (long p = points * part / parts; p < end; p += LANES) {
     #pragma clang fp contract(fast)
     const int count = end - p < LANES ? (int)(end - p) : LANES;
     gather(given.from, DIM, OUTER, p, count, state);
+    turn(state, false);
     seed();
     run_network();
     meet();

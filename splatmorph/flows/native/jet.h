@@ -19,6 +19,7 @@ struct Arguments {                                         // the twin of jet.py
     const float *last, *last_bias;                         // OUTPUTS × width
     const float* from;                                     // what the network or coupling is given
     float* to;                                             // what it makes of it
+    const float* turn;                                     // DIM × DIM, before a coupling, or null
     const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
     float *slope_from, *slope_weights;                     // the latter parts × parameters
     long layers, points, width, parameters, moved;

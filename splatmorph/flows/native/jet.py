@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import cache, reduce
 from itertools import accumulate, combinations_with_replacement
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -21,8 +21,16 @@ WORTH_SHARING = 1 << 22
 """Products in the middle layers from which a second thread pays."""
 
 
-Scalars = tuple[int, float, float, float]
-"""The coordinate that a coupling moves, ω of the first and of the second layer, and the bound."""
+class Step(NamedTuple):
+    """A network, or the coupling that it makes."""
+
+    network: Network
+    moved: int = 0
+    """The coordinate i of z_i <- exp(bound·tanh r₀) z_i + r₁."""
+    bound: float = 0.0
+    """Below 0 it asks for the inverse of the coupling with the bound -bound."""
+    turn: Tensor | None = None
+    """(dim, dim) what z is multiplied by before."""
 
 
 class _Arguments(ctypes.Structure):
@@ -31,7 +39,7 @@ class _Arguments(ctypes.Structure):
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("first", "first_bias", "second", "second_bias")),
         *((name, ctypes.c_void_p) for name in ("last", "last_bias", "from", "to")),
-        *((name, ctypes.c_void_p) for name in ("slope_to", "slope_from", "slope_weights")),
+        *((name, ctypes.c_void_p) for name in ("turn", "slope_to", "slope_from", "slope_weights")),
         *((name, ctypes.c_int64) for name in ("layers", "points", "width", "parameters", "moved")),
         *((name, ctypes.c_double) for name in ("first_omega", "omega", "bound")),
     )
@@ -71,28 +79,26 @@ class _Jets(torch.autograd.Function):
         what: str,
         rows: Tensor,
         pairs: Pairs,
-        scalars: list[Scalars],
+        steps: list[Step],
         *layers: Tensor,
     ) -> Tensor:
         """``rows`` (channels, m, inputs or dim): value, derivatives, second ones along ``pairs``.
 
-        ``layers``: of each the matrix,
-        bias, matrix, bias, matrix, bias. -> (channels, m, outputs or dim)
+        ``layers``: of each step the matrix, bias, matrix, bias, matrix, bias.
+        -> (channels, m, outputs or dim)
         """
         channels, m, columns = rows.shape
         width, inputs = layers[0].shape
-        outputs, count = len(layers[5]), len(scalars)
+        outputs, count = len(layers[5]), len(steps)
         made = rows.new_empty(count, channels, m, columns if what == "coupling" else outputs)
         given = [rows, *made[:-1]]
         ctx.sizes = (count, m, width, sum(layer.numel() for layer in layers))
         ctx.shape = (inputs, outputs, channels - 1 - len(pairs), pairs)
-        ctx.what, ctx.scalars = what, scalars
+        ctx.what, ctx.steps = what, steps
         ctx.save_for_backward(*given, *layers)
         arguments = [
-            _Arguments(
-                *_addresses(layers, i, given[i], made[i]), None, None, None, *ctx.sizes, *own
-            )
-            for i, own in enumerate(scalars)
+            _arguments(step, layers[6 * i :], given[i], made[i], (None, None, None), ctx.sizes)
+            for i, step in enumerate(steps)
         ]
         parts = _parts(count, channels * m, layers[0])
         _run(_source(what, "forward", *ctx.shape), arguments, parts)
@@ -102,7 +108,7 @@ class _Jets(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor | None, ...]:
         """∂loss/∂made -> ∂loss/∂(rows, layers)."""
-        count = len(ctx.scalars)
+        count = len(ctx.steps)
         given, layers = ctx.saved_tensors[:count], ctx.saved_tensors[count:]
         sizes = [layer.numel() for layer in layers]
         starts = list(accumulate(sizes, initial=0))
@@ -113,8 +119,8 @@ class _Jets(torch.autograd.Function):
         arguments = []
         for i in reversed(range(count)):
             arrays = (slope_made[i], slope_given[i], slopes[0, starts[6 * i] :])
-            addresses = (*_addresses(layers, i, given[i], None), *(a.data_ptr() for a in arrays))
-            arguments.append(_Arguments(*addresses, *ctx.sizes, *ctx.scalars[i]))
+            step = ctx.steps[i]
+            arguments.append(_arguments(step, layers[6 * i :], given[i], None, arrays, ctx.sizes))
         _run(_source(ctx.what, "backward", *ctx.shape), arguments, parts)
         summed = reduce(torch.add, slopes)  # torch's own sum would wake threads for so many
         slopes_of_layers = [
@@ -124,11 +130,17 @@ class _Jets(torch.autograd.Function):
         return None, slope_given[0], None, None, *slopes_of_layers
 
 
-def _addresses(
-    layers: Sequence[Tensor], i: int, given: Tensor, made: Tensor | None
-) -> list[int | None]:
-    tensors = [*layers[6 * i : 6 * i + 6], given, made]
-    return [None if tensor is None else tensor.data_ptr() for tensor in tensors]
+def _arguments(
+    step: Step,
+    layers: Sequence[Tensor],
+    given: Tensor,
+    made: Tensor | None,
+    slopes: tuple[Tensor | None, ...],
+    sizes: tuple[int, ...],
+) -> _Arguments:
+    tensors = (*layers[:6], given, made, step.turn, *slopes)
+    addresses = (None if tensor is None else tensor.data_ptr() for tensor in tensors)
+    return _Arguments(*addresses, *sizes, step.moved, *step.network.omegas, step.bound)
 
 
 def _parts(count: int, rows: int, first: Tensor) -> int:
@@ -142,36 +154,25 @@ def _run(source: str, arguments: list[_Arguments], parts: int) -> None:
 
 def push_network(jet: Jet, network: Network) -> Jet:
     """A jet through a network."""
-    return _push("network", jet, [network], [(0, *_omegas(network), 0.0)])
+    return _push("network", jet, [Step(network)])
 
 
-def push_couplings(jet: Jet, couplings: Sequence[tuple[Network, int, float]]) -> Jet:
-    """A jet through z_moved <- exp(bound·tanh r₀) z_moved + r₁, one after the other.
-
-    ``couplings``: of each the network that makes r, ``moved`` and ``bound``; bound < 0 asks for
-    the inverse of the coupling with the bound -bound.
-    """
-    networks = [network for network, *_ in couplings]
-    scalars = [(moved, *_omegas(network), bound) for network, moved, bound in couplings]
-    return _push("coupling", jet, networks, scalars)
+def push_couplings(jet: Jet, steps: Sequence[Step]) -> Jet:
+    """A jet through couplings, one after the other."""
+    return _push("coupling", jet, [Step(*step) for step in steps])
 
 
-def _omegas(network: Network) -> tuple[float, float]:
-    first, second = network.omegas
-    return first, second
-
-
-def _push(what: str, jet: Jet, networks: list[Network], scalars: list[Scalars]) -> Jet:
+def _push(what: str, jet: Jet, steps: list[Step]) -> Jet:
     second = jet.second
     if jet.pairs and second is None:
         second = jet.value.new_zeros(len(jet.pairs), *jet.value.shape)
     rows = torch.cat([part for part in (jet.value[None], jet.first, second) if part is not None])
     layers = [
         part
-        for network in networks
-        for layer in zip(network.weights, network.biases, strict=True)
+        for step in steps
+        for layer in zip(step.network.weights, step.network.biases, strict=True)
         for part in layer
     ]
-    made = _Jets.apply(what, rows, jet.pairs, scalars, *layers)
+    made = _Jets.apply(what, rows, jet.pairs, steps, *layers)
     split = 1 + len(jet.first)
     return Jet(made[0], made[1:split], jet.pairs, made[split:] if jet.pairs else None)
