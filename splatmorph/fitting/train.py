@@ -17,7 +17,7 @@ from splatmorph.fitting.solve import Record
 CHECK_EVERY = 20
 """Steps between two looks at the true metric."""
 PATIENCE = 10
-"""Looks without a better one, after the first half, before training stops."""
+"""Looks without a better one, in the last quarter, before training stops."""
 STALLED = 0.5
 """A run that keeps more than this part of the landmark error has collapsed and is begun anew."""
 ATTEMPTS = 3
@@ -140,7 +140,7 @@ class _Attempt:
                         on_state(self.state())
                     waited = (self.step - self.best_step) // CHECK_EVERY
                     if mse < self.config.tolerance or (
-                        waited >= PATIENCE and self.step > steps // 2
+                        waited >= PATIENCE and self.step > steps * 3 // 4
                     ):
                         return True
         except KeyboardInterrupt:
