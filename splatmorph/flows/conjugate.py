@@ -94,8 +94,7 @@ class Conjugate(Flow):
             for layer in range(layers)
         )
         self.couplings = nn.ModuleList(self.chain)
-        self.rounds = tuple(self.chain[i : i + dim] for i in range(0, layers, dim))
-        self.register_buffer("turns", _turns(dim, len(self.rounds)))
+        self.register_buffer("turns", _turns(dim, -(-layers // dim)))
 
     def config(self) -> dict[str, Any]:
         """Kind, dimension and the network's options."""
@@ -183,32 +182,30 @@ class Conjugate(Flow):
 
     def _push(self, jet: Jet) -> Jet:
         turns = self.turns.to(jet.value)
-        for turn, couplings in zip(turns[:-1], self.rounds, strict=True):
-            jet = jet.linear(turn)
-            if couplings[0].network.takes_natively(jet):
-                jet = self._push_natively(jet, couplings, LARGEST_LOG_SCALE)
-            else:
-                for coupling in couplings:
-                    jet = coupling.push(jet)
-        return jet.linear(turns[-1])
+        before = dict(zip(range(0, len(self.chain), self.dim), turns, strict=False))
+        steps = [(coupling, before.get(i)) for i, coupling in enumerate(self.chain)]
+        return self._through(jet, steps, LARGEST_LOG_SCALE).linear(turns[-1])
 
     def _push_inverse(self, jet: Jet) -> Jet:
-        turns = self.turns.to(jet.value)
-        jet = jet.linear(turns[-1].T)
-        for turn, couplings in zip(turns[:-1].flip(0), reversed(self.rounds), strict=True):
-            if couplings[0].network.takes_natively(jet):
-                jet = self._push_natively(jet, couplings[::-1], -LARGEST_LOG_SCALE)
-            else:
-                for coupling in reversed(couplings):
-                    jet = coupling.push_inverse(jet)
-            jet = jet.linear(turn.T)
+        turns = self.turns.to(jet.value).mT.contiguous()
+        ends = [*range(self.dim, len(self.chain), self.dim), len(self.chain)]
+        after = dict(zip(ends, turns[1:], strict=True))
+        steps = [(coupling, after.get(i)) for i, coupling in enumerate(self.chain, 1)]
+        return self._through(jet, steps[::-1], -LARGEST_LOG_SCALE).linear(turns[0])
+
+    def _through(self, jet: Jet, steps: list[tuple[Coupling, Tensor | None]], bound: float) -> Jet:
+        """``jet`` turned and pushed through each coupling, or with a negative bound its inverse."""
+        if self.chain[0].network.takes_natively(jet):
+            from splatmorph.flows.native.jet import Step, push_couplings
+
+            return push_couplings(
+                jet, [Step(each.network, each.moved, bound, turn) for each, turn in steps]
+            )
+        for coupling, turn in steps:
+            if turn is not None:
+                jet = jet.linear(turn)
+            jet = coupling.push(jet) if bound > 0 else coupling.push_inverse(jet)
         return jet
-
-    @staticmethod
-    def _push_natively(jet: Jet, couplings: tuple[Coupling, ...], bound: float) -> Jet:
-        from splatmorph.flows.native.jet import push_couplings
-
-        return push_couplings(jet, [(each.network, each.moved, bound) for each in couplings])
 
     def _affine_rate(self, z: Tensor) -> Tensor:
         return z @ self.generator.to(z).T + self.drift.to(z)

@@ -157,9 +157,9 @@ def push_network(jet: Jet, network: Network) -> Jet:
     return _push("network", jet, [Step(network)])
 
 
-def push_couplings(jet: Jet, steps: Sequence[Step]) -> Jet:
+def push_couplings(jet: Jet, steps: list[Step]) -> Jet:
     """A jet through couplings, one after the other."""
-    return _push("coupling", jet, [Step(*step) for step in steps])
+    return _push("coupling", jet, steps)
 
 
 def _push(what: str, jet: Jet, steps: list[Step]) -> Jet:
