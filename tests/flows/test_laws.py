@@ -47,7 +47,8 @@ def test_flow_is_a_one_parameter_group(
     if isinstance(flow, Node):
         flow.steps = 32
     x = points(flow, 20, seed)
-    assert gap(flow, flow(x, 0.0), x) < 1e-14
+    # Rounding, through every coupling there and back.
+    assert gap(flow, flow(x, 0.0), x) < 1e-12
     assert gap(flow, flow(flow(x, t), -t), x) < order_of(flow)
     assert gap(flow, flow(flow(x, s), t), flow(x, s + t)) < order_of(flow)
 
