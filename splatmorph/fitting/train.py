@@ -119,7 +119,7 @@ class _Attempt:
         seed = self.config.seed + 1000 * attempt
         self.parameters = self.objective.initialise(seed)
         self.generator = torch.Generator().manual_seed(seed)
-        self.optimizer = torch.optim.Adam(self.parameters, betas=(0.9, 0.99))
+        self.optimizer = torch.optim.Adam(self.parameters, betas=(0.9, 0.99), foreach=True)
         self.step = 0
         self.best: dict[str, Tensor] = {}
         self.best_mse = math.inf
@@ -165,7 +165,7 @@ class _Attempt:
             return False
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(self.parameters, 1.0)
+        nn.utils.clip_grad_norm_(self.parameters, 1.0, foreach=True)
         self.optimizer.step()
         self.step += 1
         return True

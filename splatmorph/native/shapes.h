@@ -5,7 +5,7 @@ struct Arguments {                                     // the twin of shapes.py'
     const Stored *quats_in, *log_scales_in;            // count × 4 and × 3
     const Stored *jacobians;                           // knots × count × 3 × 3, `strides` apart
     Stored *quats_out, *log_scales_out, *turns_out;    // knots × count × 4, × 3 and × 4
-    long knots, count, strides[4];
+    long long knots, count, strides[4];
 };
 const Arguments& given = *(const Arguments*)arguments;
 constexpr int LANES = 8;

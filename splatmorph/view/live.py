@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,6 @@ from renderer import Camera, orbit
 from splatmorph.covariance import rotation_matrices
 from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph import Morph
 from splatmorph.ramps import RAMPS
 from splatmorph.rendering import Colour, render
 from splatmorph.transport import COVARIANCES
@@ -150,14 +149,7 @@ class Viewer:
         """The morph, or one side carried along at full opacity."""
         morph = self.subject.morph
         if wanted.part == "morph":
-            chosen = Morph(
-                morph.source,
-                morph.target,
-                morph.flow,
-                ramp=wanted.ramp,
-                covariance=morph.covariance,
-            )
-            return chosen.at(wanted.t)
+            return replace(morph, ramp=wanted.ramp).at(wanted.t)
         side, t = (
             (morph.source, wanted.t) if wanted.part == "source" else (morph.target, wanted.t - 1)
         )

@@ -31,10 +31,8 @@ auto turn = [&](float* rows, bool back) {
 
 auto seed = [&]() {
     for (int k = 0; k < CHANNELS * INPUTS * LANES; ++k) x[k] = 0.f;
-    for (int n = 0; n < INPUTS; ++n) {
-        store(x + n * LANES, load(state + kept_at(0, n)));
-        store(x + ((1 + n) * INPUTS + n) * LANES, (Floats)1.f);
-    }
+    for (int n = 0; n < INPUTS; ++n) store(x + n * LANES, load(state + kept_at(0, n)));
+    for (int n = 0; n < DIRECTIONS; ++n) store(x + ((1 + n) * INPUTS + n) * LANES, (Floats)1.f);
 };
 
 // Rows of the jet for a function of the other coordinates with the rows q.
@@ -42,7 +40,7 @@ auto compose = [&](const float* q, Floats* rows) {
     #pragma clang fp contract(fast)
     for (int row = 0; row < OUTER; ++row) {
         rows[row] = row ? (Floats)0.f : load(q);
-        for (int n = 0; row && n < INPUTS; ++n)
+        for (int n = 0; row && n < DIRECTIONS; ++n)
             rows[row] += load(q + (1 + n) * ROW) * load(state + kept_at(row, n));
     }
     for (int p = 0; p < OUTER_PAIRS; ++p) {
@@ -59,12 +57,8 @@ auto compose = [&](const float* q, Floats* rows) {
 // `scale`, `shift` and the `factor` that `scale` multiplies, from `raw` and `state`.
 auto meet = [&]() {
     #pragma clang fp contract(fast)
-    Floats bent, g;
-    for (int l = 0; l < LANES; ++l) {
-        bent[l] = wp::tanh(raw[l]);
-        g[l] = wp::exp(bound * bent[l]);
-    }
-    const Floats less = 1.f - bent * bent, u = bound * less, du = -2.f * bent * u;
+    const Floats bent = 1.f - 2.f / (exponential(2.f * load(raw)) + 1.f);
+    const Floats g = exponential(bound * bent), less = 1.f - bent * bent, u = bound * less, du = -2.f * bent * u;
     slope = g * u;
     bend = g * (u * u + du);
     twist = g * (u * u * u + 3.f * u * du + u * (6.f * bent * bent - 2.f));

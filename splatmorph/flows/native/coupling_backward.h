@@ -4,7 +4,7 @@ float slope_state[OUTER * DIM * LANES];                    // ∂loss/∂to, the
 auto decompose = [&](const float* q, const Floats* rows, float* slope_q) {
     #pragma clang fp contract(fast)
     store(slope_q, rows[0]);
-    for (int n = 0; n < INPUTS; ++n) {
+    for (int n = 0; n < DIRECTIONS; ++n) {
         const Floats along = load(q + (1 + n) * ROW);
         Floats sum = (Floats)0.f;
         for (int row = 1; row < OUTER; ++row) {

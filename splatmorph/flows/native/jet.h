@@ -22,7 +22,7 @@ struct Arguments {                                         // the twin of jet.py
     const float* turn;                                     // DIM × DIM, before a coupling, or null
     const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
     float *slope_from, *slope_weights;                     // the latter parts × parameters
-    long layers, points, width, parameters, moved;
+    long long layers, points, width, parameters, moved;
     double first_omega, omega, bound;
 };
 // One network or coupling after the other, each part on points of its own.

@@ -55,7 +55,7 @@ def _source(what: str, way: str, inputs: int, outputs: int, directions: int, pai
         headers.insert(-1, "coupling.h")
         constants = _constants("OUTER_", directions, pairs)
         inner = tuple(combinations_with_replacement(range(inputs), 2)) if pairs else ()
-        directions, pairs = inputs, inner
+        directions, pairs = (inputs if directions else 0), inner
     constants += f"constexpr int INPUTS = {inputs}, OUTPUTS = {outputs};\n"
     constants += _constants("", directions, pairs)
     folder = Path(__file__).parent

@@ -25,3 +25,18 @@ auto sine_cosine = [](Floats x, Floats& cosine) -> Floats {
     cosine = *(Floats*)&cosine_bits;
     return *(Floats*)&sine_bits;
 };
+
+auto exponential = [](Floats x) -> Floats {
+    // eˣ = 2ⁿ eʳ, |r| ≤ log(2)/2, with Taylor's polynomial to r⁶ (1e-7), clamped to finite floats.
+    #pragma clang fp contract(fast)
+    const Floats y = __builtin_elementwise_min(__builtin_elementwise_max(x, (Floats)-87.f), (Floats)88.f);
+    const Floats n = __builtin_elementwise_floor(y * 1.44269504f + 0.5f);
+    const Floats r = (y - n * 0.693359375f) + n * 2.12194440e-4f;
+    Floats p = r * 1.3888889e-3f + 8.3333333e-3f;
+    p = p * r + 4.1666667e-2f;
+    p = p * r + 1.6666667e-1f;
+    p = p * r + 0.5f;
+    p = p * r * r + r + 1.f;
+    const Ints bits = (__builtin_convertvector(n, Ints) + 127) << 23;
+    return p * *(const Floats*)&bits;
+};

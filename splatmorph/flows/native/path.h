@@ -8,7 +8,7 @@ struct Arguments {                                     // the twin of path.py's
     const float *spline;                               // centers × (center, weight)
     const float *network;                              // see below
     float *states, *rates;                             // knots × points × STATE
-    long points, centers, width, steps, every;
+    long long points, centers, width, steps, every;
     double rounding_squared, h;
 };
 const Arguments& given = *(const Arguments*)arguments;
