@@ -220,6 +220,15 @@ def test_every_splat_can_stay_in_every_frame(fitted: Path, cli: Run) -> None:
     assert [len(io.read(file)) for file in sorted(Path("out").glob("*.ply"))] == [350] * 3
 
 
+def test_stretched_splats_are_split_where_asked(fitted: Path, cli: Run) -> None:
+    asked = ("--split", 1.15, "--stable-count", "--frames", 3)
+    assert cli("export", fitted, *asked, "-o", "out")[0] == 0
+    first, middle, last = (len(io.read(file)) for file in sorted(Path("out").glob("*.ply")))
+    assert first == middle == last > 350
+    assert cli("render", fitted, "--split", 1.15, "--size", "32x32", "-o", "x.png")[0] == 0
+    failed(cli("render", fitted, "--split", 0.5, "-o", "y.png"), "split is 0.5", "above 1")
+
+
 # Outputs that are there ---------------------------------------------------------------------
 
 
