@@ -18,7 +18,7 @@ CHECK_EVERY = 20
 """Steps between two looks at the true metric."""
 PATIENCE = 10
 """Looks without a better one, in the last quarter, before training stops."""
-STALLED = 0.5
+STALLED = 0.1
 """A run that keeps more than this part of the landmark error has collapsed and is begun anew."""
 ATTEMPTS = 3
 
