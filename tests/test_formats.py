@@ -14,9 +14,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
+from refusals import refused
 
 from splatmorph import io
-from splatmorph.errors import ReadError, WriteError
+from splatmorph.errors import WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.packed import SH0
 
@@ -225,16 +226,6 @@ def test_names_and_extensions() -> None:
 
 
 # Bad input ----------------------------------------------------------------------------------
-
-
-def refused(path: Path, *words: str) -> None:
-    with pytest.raises(ReadError) as caught:
-        io.read(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert str(path) in message
-    for word in words:
-        assert word in message, message
 
 
 @pytest.mark.parametrize("extension", LOSSY)

@@ -13,9 +13,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
+from refusals import refused
 
 from splatmorph import io
-from splatmorph.errors import LocalFrameError, OptionError, ReadError, WriteError
+from splatmorph.errors import LocalFrameError, OptionError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.ply import read_properties
@@ -160,16 +161,6 @@ def test_statues_in_another_order_are_read(shared_data: Path) -> None:
 
 
 # Bad input ----------------------------------------------------------------------------------
-
-
-def refused(path: Path, *words: str, error: type[ReadError] = ReadError) -> None:
-    with pytest.raises(error) as caught:
-        io.read(path)
-    message = str(caught.value)
-    assert "\n" not in message
-    assert str(path) in message
-    for word in words:
-        assert word in message, message
 
 
 def test_missing_empty_and_foreign_files(tmp_path: Path) -> None:
