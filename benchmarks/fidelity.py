@@ -36,15 +36,15 @@ from splatmorph.fitting import fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.flows.base import Times, as_floats
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import harmonics, rotate_sh
+from splatmorph.geometry.quaternions import from_matrices
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import psnr, ssim
 from splatmorph.morph import Morph
-from splatmorph.quaternions import from_matrices
-from splatmorph.ramps import RAMPS
+from splatmorph.morph.ramps import RAMPS
+from splatmorph.morph.splitting import split, split_stretched
+from splatmorph.morph.transport import COVARIANCES
 from splatmorph.rendering import bounds, renderer_arrays
-from splatmorph.sh import harmonics, rotate_sh
-from splatmorph.splitting import split, split_stretched
-from splatmorph.transport import COVARIANCES
 
 LANDMARKS = 250
 SIZE = 512

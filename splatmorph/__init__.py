@@ -19,12 +19,11 @@ if TYPE_CHECKING:
     from splatmorph.fitting import FitConfig, FitReport, fit
     from splatmorph.flows import Flow, make_flow
     from splatmorph.gaussians import Gaussians
-    from splatmorph.inputs import load_input
     from splatmorph.io import read, write
     from splatmorph.landmarks import Landmarks
     from splatmorph.morph import Morph
     from splatmorph.rendering import render
-    from splatmorph.run import load_run
+    from splatmorph.runs import load_input, load_run
 
 # Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
 _HOMES = {
@@ -35,8 +34,8 @@ _HOMES = {
     "Landmarks": "landmarks",
     "Morph": "morph",
     "fit": "fitting",
-    "load_input": "inputs",
-    "load_run": "run",
+    "load_input": "runs",
+    "load_run": "runs",
     "make_flow": "flows",
     "read": "io",
     "render": "rendering",

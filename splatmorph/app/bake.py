@@ -13,8 +13,8 @@ from splatmorph.app.export import lossy
 from splatmorph.app.options import Out, Overwrite
 from splatmorph.avatars import LANDMARK_SETS, Avatar, Track, baked, load_avatar, thin, track_of
 from splatmorph.errors import OptionError
-from splatmorph.export import write_measured
 from splatmorph.io.atomic import make_folder, write_json
+from splatmorph.runs.export import write_measured
 
 AvatarInput = Annotated[
     Path, Parameter(help="Its splat file, the directory of that, or the model directory.")

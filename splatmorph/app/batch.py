@@ -19,7 +19,7 @@ from splatmorph.app.posing import Posing
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
-from splatmorph.run import MANIFEST, has_state, open_run
+from splatmorph.runs.run import MANIFEST, has_state, open_run
 
 LANDMARKS = ("source_landmarks", "target_landmarks")
 PATHS = ("source", "target", *LANDMARKS)

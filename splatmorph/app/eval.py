@@ -16,7 +16,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json, RunPath
 from splatmorph.errors import ReadError
 from splatmorph.metrics import evaluate
-from splatmorph.run import Leg, load_inputs, open_run
+from splatmorph.runs.run import Leg, load_inputs, open_run
 
 WORST_SHOWN = 5
 SIDES = ("source", "target")

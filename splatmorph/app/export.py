@@ -19,9 +19,9 @@ from splatmorph.app.options import (
     TimesOption,
 )
 from splatmorph.errors import OptionError
-from splatmorph.export import export_sequence, write_measured
-from splatmorph.inputs import fingerprint
-from splatmorph.run import (
+from splatmorph.runs.export import export_sequence, write_measured
+from splatmorph.runs.inputs import fingerprint
+from splatmorph.runs.run import (
     MANIFEST,
     WEIGHTS,
     average_of,

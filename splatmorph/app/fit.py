@@ -16,14 +16,14 @@ from cyclopts import Parameter
 from splatmorph.app import console
 from splatmorph.app.options import Device, Out, Overwrite, Seed, Splat, choose_device
 from splatmorph.app.posing import Pair, Posing, landmarks_of
-from splatmorph.chain import mean_landmarks
 from splatmorph.errors import OutputExistsError
 from splatmorph.fitting import FitConfig, FitProgress, FitReport
 from splatmorph.fitting import fit as fit_flow
 from splatmorph.flows import Flow, Node, make_flow
-from splatmorph.inputs import Input as Loaded
 from splatmorph.landmarks import Landmarks
-from splatmorph.run import (
+from splatmorph.morph.chain import mean_landmarks
+from splatmorph.runs.inputs import Input as Loaded
+from splatmorph.runs.run import (
     MANIFEST,
     Leg,
     Run,

@@ -11,7 +11,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json
 from splatmorph.avatars import is_avatar, summarize
 from splatmorph.errors import SplatmorphError
-from splatmorph.inputs import Input, bounding_box, load_input
+from splatmorph.runs.inputs import Input, bounding_box, load_input
 
 
 def inspect(

@@ -13,8 +13,8 @@ from cyclopts import Parameter
 from splatmorph.app import console
 from splatmorph.avatars import LANDMARK_SETS, pose_warnings, thin
 from splatmorph.errors import LandmarkError
-from splatmorph.inputs import Input, load_input
 from splatmorph.landmarks import Landmarks
+from splatmorph.runs.inputs import Input, load_input
 
 Pair = tuple[Landmarks, Landmarks]
 

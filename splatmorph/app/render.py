@@ -27,10 +27,10 @@ from splatmorph.app.options import (
 from splatmorph.avatars import Drive, is_avatar, track_of
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.inputs import load_splat
 from splatmorph.rendering import SWING, bounds, there_and_back, turntable
 from splatmorph.rendering import render as render_frame
-from splatmorph.run import average_of, load_inputs, morph_of, open_run
+from splatmorph.runs.inputs import load_splat
+from splatmorph.runs.run import average_of, load_inputs, morph_of, open_run
 
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
 WITH_ALPHA = ("", ".png", ".webp")

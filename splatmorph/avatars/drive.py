@@ -26,7 +26,7 @@ from splatmorph.errors import OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.ramps import EASES
+from splatmorph.morph.ramps import EASES
 
 FACE = "flame_face"
 """The extra under which a splat carries the number of its face through the morph."""

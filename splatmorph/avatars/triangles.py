@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from splatmorph import quaternions
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry import quaternions
 
 SHORTEST = 1e-9
 """Lengths below this are no length: metres, far below any edge of a head."""

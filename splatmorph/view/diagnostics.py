@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import OptionError, RunError
 from splatmorph.io.atomic import atomic_write
-from splatmorph.run import HISTORY
+from splatmorph.runs.run import HISTORY
 from splatmorph.view.subject import Subject, thin
 
 Array = NDArray[np.float64]

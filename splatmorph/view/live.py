@@ -10,12 +10,12 @@ import torch
 from numpy.typing import NDArray
 
 from renderer import Camera, orbit
-from splatmorph.covariance import rotation_matrices
 from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import RAMPS
+from splatmorph.morph.covariance import rotation_matrices
+from splatmorph.morph.ramps import RAMPS
+from splatmorph.morph.transport import COVARIANCES
 from splatmorph.rendering import Colour, render
-from splatmorph.transport import COVARIANCES
 from splatmorph.view.subject import Subject, thin
 
 SH0 = 0.28209479177387814

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from renderer import Camera
-from splatmorph.chain import Chain
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
+from splatmorph.morph.chain import Chain
 from splatmorph.rendering import Colour, render
 
 Pixels = NDArray[np.uint8]

@@ -15,7 +15,7 @@ from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
-from splatmorph.run import load_inputs, open_run
+from splatmorph.runs.run import load_inputs, open_run
 
 VISIBLE = 1 / 255
 """Opacity below which no rasterizer draws a splat."""

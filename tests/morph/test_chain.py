@@ -9,12 +9,12 @@ import pytest
 import torch
 from morph_cases import affine_flow, random_gaussians, same_bits
 
-from splatmorph.chain import Chain, average, mean_landmarks
 from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
-from splatmorph.ramps import RAMPS
-from splatmorph.run import Run, average_of
+from splatmorph.morph.chain import Chain, average, mean_landmarks
+from splatmorph.morph.ramps import RAMPS
+from splatmorph.runs.run import Run, average_of
 
 A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (20, 30, 25))
 

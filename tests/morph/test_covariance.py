@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 from morph_cases import AffineFlow, affine_flow, random_gaussians
 from torch import Tensor
 
-from splatmorph.covariance import polar_rotation, rotation_matrices, stretched_axes
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.transport import COVARIANCES, KNOTS
+from splatmorph.morph.covariance import polar_rotation, rotation_matrices, stretched_axes
+from splatmorph.morph.transport import COVARIANCES, KNOTS
 
 TIMES = [k / 100 for k in range(1, 101)]
 

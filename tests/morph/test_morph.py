@@ -13,8 +13,8 @@ from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.ramps import EASES, RAMPS
-from splatmorph.transport import COVARIANCES
+from splatmorph.morph.ramps import EASES, RAMPS
+from splatmorph.morph.transport import COVARIANCES
 
 SOURCE = random_gaussians(60, degree=1, seed=1)
 TARGET = random_gaussians(40, degree=2, seed=2)

@@ -7,10 +7,10 @@ import torch
 from morph_cases import AffineFlow, random_gaussians, same_bits
 from torch import Tensor
 
-from splatmorph import transport
-from splatmorph.covariance import carried_shapes, rotation_matrices
-from splatmorph.native import shapes
-from splatmorph.transport import COVARIANCES
+from splatmorph.morph import transport
+from splatmorph.morph.covariance import carried_shapes, rotation_matrices
+from splatmorph.morph.native import shapes
+from splatmorph.morph.transport import COVARIANCES
 
 COUNT = 1003
 MOMENTS = 8

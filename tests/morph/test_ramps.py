@@ -15,7 +15,7 @@ from morph_cases import random_gaussians
 from renderer import bounds_of, orbit, rasterize
 from splatmorph import io
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import EASES, FAINTEST, RAMPS, Ease, Ramp, calibrated, scaled_logits
+from splatmorph.morph.ramps import EASES, FAINTEST, RAMPS, Ease, Ramp, calibrated, scaled_logits
 
 WEIGHTS = [*np.linspace(0, 1, 41)[1:-1].tolist()]
 

@@ -16,10 +16,10 @@ from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.metrics import psnr
 from splatmorph.morph import Morph
-from splatmorph.ramps import RAMPS
+from splatmorph.morph.ramps import RAMPS
+from splatmorph.morph.splitting import SHARE, split, split_stretched
+from splatmorph.morph.transport import COVARIANCES
 from splatmorph.rendering import bounds, renderer_arrays
-from splatmorph.splitting import SHARE, split, split_stretched
-from splatmorph.transport import COVARIANCES
 
 SOURCE = random_gaussians(60, degree=1, seed=1)
 TARGET = random_gaussians(40, degree=2, seed=2)
@@ -90,7 +90,7 @@ def test_children_lie_along_the_axis_and_take_everything_else_from_their_parent(
 
 
 def matrices(gaussians: Gaussians) -> torch.Tensor:
-    from splatmorph.covariance import rotation_matrices
+    from splatmorph.morph.covariance import rotation_matrices
 
     return rotation_matrices(gaussians.quats.T).permute(2, 0, 1)
 

@@ -22,7 +22,7 @@ from splatmorph.errors import OptionError, WriteError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
-from splatmorph.ramps import RAMPS
+from splatmorph.morph.ramps import RAMPS
 from splatmorph.view.knots import FINEST, MOST, fewest_knots, knot_matrix, knot_times, knot_weights
 from splatmorph.view.page import write_page
 from splatmorph.view.subject import Subject, thin

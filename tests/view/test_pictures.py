@@ -180,8 +180,8 @@ class TestLive:
 @pytest.fixture(scope="module")
 def fitted(tmp_path_factory) -> Path:
     """A small run on disk."""
-    from splatmorph.inputs import load_input
-    from splatmorph.run import Leg, Run, remember, save_run
+    from splatmorph.runs.inputs import load_input
+    from splatmorph.runs.run import Leg, Run, remember, save_run
 
     folder = tmp_path_factory.mktemp("view")
     source, target = blob(300, 1, (0.7, 0.4, 0.2)), blob(300, 2, (0.2, 0.5, 0.7))

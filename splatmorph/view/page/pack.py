@@ -11,9 +11,9 @@ import torch
 from numpy.typing import NDArray
 
 from renderer import orbit
-from splatmorph.covariance import polar_rotation
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import RAMPS
+from splatmorph.morph.covariance import polar_rotation
+from splatmorph.morph.ramps import RAMPS
 from splatmorph.view.knots import FINEST, fewest_knots, knot_times, knot_weights
 from splatmorph.view.subject import Subject
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from renderer.snippet import run_snippet
-from splatmorph.covariance import LEAST, NEWTON_STEP, PARALLEL, SWEEPS
+from splatmorph.morph.covariance import LEAST, NEWTON_STEP, PARALLEL, SWEEPS
 
 STORED = {torch.float32: "float", torch.float64: "double"}
 

@@ -15,7 +15,7 @@ from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
-from splatmorph.run import open_run
+from splatmorph.runs.run import open_run
 
 MakeGaussians = Callable[..., Gaussians]
 Batch = Callable[..., tuple[int, str, str]]

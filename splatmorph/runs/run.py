@@ -25,14 +25,14 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
-from splatmorph.chain import Chain, average
 from splatmorph.errors import OptionError, RunError
 from splatmorph.fitting import FitReport, FitState
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
-from splatmorph.inputs import Input, fingerprint, load_splat
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
 from splatmorph.morph import Morph
+from splatmorph.morph.chain import Chain, average
+from splatmorph.runs.inputs import Input, fingerprint, load_splat
 
 FORMAT = 1
 MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"

@@ -21,11 +21,11 @@ from functools import lru_cache, reduce
 import torch
 from torch import Tensor
 
-from splatmorph.covariance import rotation_matrices
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import DENSEST, STEPS, interpolated, scaled_logits
-from splatmorph.transport import KNOTS, jacobian_blocks
+from splatmorph.morph.covariance import rotation_matrices
+from splatmorph.morph.ramps import DENSEST, STEPS, interpolated, scaled_logits
+from splatmorph.morph.transport import KNOTS, jacobian_blocks
 
 SHARE = math.sqrt(0.5)
 """Length of a child in its parent's: half the variance is theirs, half is their distance."""

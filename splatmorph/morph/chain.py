@@ -13,9 +13,9 @@ from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import FEWEST, Landmarks
-from splatmorph.morph import Morph, check_times, chosen
-from splatmorph.ramps import DEFAULT_RAMP, RAMPS
-from splatmorph.transport import COVARIANCES, DEFAULT_COVARIANCE
+from splatmorph.morph.morph import Morph, check_times, chosen
+from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
+from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 
 class Chain:

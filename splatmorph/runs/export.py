@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import Any
 
 from splatmorph import io
-from splatmorph.chain import Chain
 from splatmorph.errors import OutputExistsError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import make_folder, remove_partials, write_json
 from splatmorph.morph import Morph
+from splatmorph.morph.chain import Chain
 
 INDEX = "frames.json"
 PLAN = ".frames.unfinished.json"

@@ -12,9 +12,9 @@ import torch
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.ramps import DEFAULT_RAMP, EASES, RAMPS
-from splatmorph.splitting import split_stretched
-from splatmorph.transport import COVARIANCES, DEFAULT_COVARIANCE
+from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
+from splatmorph.morph.splitting import split_stretched
+from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 Choice = TypeVar("Choice")
 

@@ -16,9 +16,9 @@ from splatmorph.errors import RunError
 from splatmorph.fitting import FitState, fit
 from splatmorph.flows import make_flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.inputs import load_input
 from splatmorph.landmarks import Landmarks
-from splatmorph.run import (
+from splatmorph.runs.inputs import load_input
+from splatmorph.runs.run import (
     Leg,
     Run,
     load_run,

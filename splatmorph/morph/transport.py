@@ -12,10 +12,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from splatmorph.covariance import carried_shapes, rotation_matrices
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.sh import rotate_sh
+from splatmorph.geometry.harmonics import rotate_sh
+from splatmorph.morph.covariance import carried_shapes, rotation_matrices
 
 KNOTS = 8
 """Moments a unit of t at which shapes are worked out; in between they are interpolated."""
@@ -111,7 +111,7 @@ def _carrier(quats: Tensor, jacobians: Tensor) -> Callable[..., tuple[Tensor, Te
     """``carried_shapes`` in C++ where that is worth loading, or its plain twin."""
     if len(quats) < NATIVE_FROM or quats.device.type != "cpu" or quats.dtype != jacobians.dtype:
         return carried_shapes
-    from splatmorph.native import shapes
+    from splatmorph.morph.native import shapes
 
     return shapes.carried_shapes if quats.dtype in shapes.STORED else carried_shapes
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatmorph.sh import harmonics, rotate_sh
+from splatmorph.geometry.harmonics import harmonics, rotate_sh
 
 every_degree = pytest.mark.parametrize("degree", range(5))
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from splatmorph.quaternions import from_matrices, product
+from splatmorph.geometry.quaternions import from_matrices, product
 
 PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Two axes that a Jacobi rotation mixes, and the one it turns about."""

@@ -1,0 +1,6 @@
+"""Runs: what a user asks for, its inputs, the directory that a fit leaves, and what is exported."""
+
+from splatmorph.runs.inputs import Input, load_input
+from splatmorph.runs.run import Run, load_run, open_run
+
+__all__ = ["Input", "Run", "load_input", "load_run", "open_run"]
