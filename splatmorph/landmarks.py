@@ -8,6 +8,7 @@ import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -35,6 +36,8 @@ class Landmarks:
     """(k, dim) float64, world units (pixels for images)."""
     names: tuple[str, ...] | None = None
     """k names, or None: matched by order."""
+    confidence: Tensor | None = None
+    """(k,) in [0, 1] where the points were found by a search; None where somebody gave them."""
 
     def __post_init__(self) -> None:
         if self.points.ndim != 2 or self.points.shape[1] not in FEWEST:
@@ -48,6 +51,8 @@ class Landmarks:
                 f"landmarks {self._list(bad)} have NaN or infinite coordinates: correct or "
                 "delete them"
             )
+        if self.confidence is not None:
+            self._check_confidence(self.confidence.to(torch.float64))
         if self.names is None:
             return
         if len(self.names) != len(self.points):
@@ -57,6 +62,14 @@ class Landmarks:
             raise LandmarkError(
                 f"landmark names given twice: {_some(twice)}; a name must mean one point"
             )
+
+    def _check_confidence(self, confidence: Tensor) -> None:
+        object.__setattr__(self, "confidence", confidence)
+        if confidence.shape != self.points.shape[:1]:
+            raise LandmarkError(f"{confidence.numel()} confidences for {len(self)} landmarks")
+        bad = ~((confidence >= 0) & (confidence <= 1))
+        if bad.any():
+            raise LandmarkError(f"the confidence of {self._list(bad)} is not between 0 and 1")
 
     def __len__(self) -> int:
         return int(self.points.shape[0])
@@ -70,8 +83,9 @@ class Landmarks:
     def read(path: str | Path, dim: int = 3) -> Landmarks:
         """Read landmarks; the extension names the format.
 
-        ``.json`` (``{"points": {"name": [x, y, z]}}``, or a list of points), ``.npy``, ``.npz``,
-        ``.csv`` and ``.txt`` (a name column or none), MeshLab's ``.pp``.
+        ``.json`` (``{"points": {"name": [x, y, z]}, "confidence": {"name": 0.9}}``, the latter
+        only where they were found by a search, or a list of points), ``.npy``, ``.npz``, ``.csv``
+        and ``.txt`` (a name column or none), MeshLab's ``.pp``.
 
         Raises:
             ReadError: the file is missing, of another format, or damaged.
@@ -85,8 +99,10 @@ class Landmarks:
                 f"{', '.join(sorted(_READERS))}"
             )
         try:
-            points, names = reader(path)
-            array = np.asarray(points, dtype=np.float64)
+            parsed = reader(path)
+            array = np.asarray(parsed.points, dtype=np.float64)
+            names = tuple(parsed.names) if parsed.names else None
+            confidence = _in_order(parsed.confidence, names)
         except OSError as error:
             raise ReadError(f"can't read {path}: {error.strerror or error}") from error
         except (ValueError, KeyError, TypeError, ElementTree.ParseError) as error:
@@ -96,7 +112,7 @@ class Landmarks:
             shape = "x".join(map(str, array.shape)) if array.size else "no points"
             raise ReadError(f"{path} holds {shape}, expected k points of {dim} coordinates each")
         try:
-            return Landmarks(torch.from_numpy(array), tuple(names) if names else None)
+            return Landmarks(torch.from_numpy(array), names, confidence)
         except LandmarkError as error:
             raise LandmarkError(f"{path}: {error}") from error
 
@@ -120,10 +136,14 @@ class Landmarks:
         path = Path(path)
         if path.suffix.lower() != ".json":
             raise OptionError(f"landmarks are written as .json, not {path.name}")
-        rows = self.points.tolist()
-        points = dict(zip(self.names, rows, strict=True)) if self.names else rows
+        document: dict[str, Any] = {"points": self._by_name(self.points.tolist())}
+        if self.confidence is not None:
+            document["confidence"] = self._by_name(self.confidence.tolist())
         with atomic_write(path) as partial:
-            partial.write_text(json.dumps({"points": points}, indent=1) + "\n")
+            partial.write_text(json.dumps(document, indent=1) + "\n")
+
+    def _by_name(self, rows: list[Any]) -> dict[str, Any] | list[Any]:
+        return dict(zip(self.names, rows, strict=True)) if self.names else rows
 
     def match(self, target: Landmarks) -> tuple[Tensor, Tensor, tuple[str, ...]]:
         """The pairs that both sets have, in the order of this one.
@@ -227,15 +247,29 @@ def _refuse_contradictions(points: Tensor, names: Sequence[str], side: str) -> N
     )
 
 
-Parsed = tuple[object, Iterable[str] | None]
+class Parsed(NamedTuple):
+    """What a file holds, not yet checked."""
+
+    points: object
+    names: Iterable[str] | None = None
+    confidence: object = None
+    """By name, or in the order of the points."""
+
+
+def _in_order(confidence: object, names: tuple[str, ...] | None) -> Tensor | None:
+    if isinstance(confidence, dict):
+        confidence = [confidence[name] for name in names or ()]
+    return None if confidence is None else torch.tensor(confidence, dtype=torch.float64)
 
 
 def _read_json(path: Path) -> Parsed:
     points = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_twice)
-    points = points["points"] if isinstance(points, dict) and "points" in points else points
+    confidence = None
+    if isinstance(points, dict) and "points" in points:
+        points, confidence = points["points"], points.get("confidence")
     if isinstance(points, dict):
-        return list(points.values()), list(points)
-    return points, None
+        return Parsed(list(points.values()), list(points), confidence)
+    return Parsed(points, None, confidence)
 
 
 def _no_twice(pairs: list[tuple[str, object]]) -> dict[str, object]:
@@ -251,10 +285,12 @@ def _no_twice(pairs: list[tuple[str, object]]) -> dict[str, object]:
 def _read_numpy(path: Path) -> Parsed:
     stored = np.load(path, allow_pickle=False)
     if isinstance(stored, np.ndarray):
-        return stored, None
+        return Parsed(stored)
     with stored:
         key = "points" if "points" in stored else stored.files[0]
-        return stored[key], [str(name) for name in stored["names"]] if "names" in stored else None
+        return Parsed(
+            stored[key], [str(name) for name in stored["names"]] if "names" in stored else None
+        )
 
 
 def _read_table(path: Path) -> Parsed:
@@ -270,8 +306,8 @@ def _read_table(path: Path) -> Parsed:
         named = rows[0][0].lower() not in AXES
         rows = rows[1:]
     if rows and (named or not all(_is_number(row[0]) for row in rows)):
-        return [[float(cell) for cell in row[1:]] for row in rows], [row[0] for row in rows]
-    return [[float(cell) for cell in row] for row in rows], None
+        return Parsed([[float(cell) for cell in row[1:]] for row in rows], [row[0] for row in rows])
+    return Parsed([[float(cell) for cell in row] for row in rows])
 
 
 def _is_number(text: str) -> bool:
@@ -289,7 +325,7 @@ def _read_picked_points(path: Path) -> Parsed:
         if point.get("active", "1") != "0"
     ]
     names = [point.get("name") or str(i) for i, point in enumerate(picked)]
-    return [[float(point.attrib[axis]) for axis in AXES] for point in picked], names
+    return Parsed([[float(point.attrib[axis]) for axis in AXES] for point in picked], names)
 
 
 _READERS: dict[str, Callable[[Path], Parsed]] = {

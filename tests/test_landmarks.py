@@ -45,6 +45,27 @@ def test_json_comes_back_exactly(tmp_path: Path) -> None:
     assert Landmarks.read(tmp_path / "y.json").names is None
 
 
+@pytest.mark.parametrize("names", [tuple("abcdefghi"), None])
+def test_confidence_comes_back(tmp_path: Path, names: tuple[str, ...] | None) -> None:
+    sure = torch.linspace(0, 1, 9, dtype=torch.float64)
+    found = Landmarks(torch.randn(9, 3, dtype=torch.float64), names, sure)
+    found.write(tmp_path / "x.json")
+    again = Landmarks.read(tmp_path / "x.json")
+    assert again.confidence is not None
+    assert torch.equal(again.confidence, sure)
+
+
+@pytest.mark.parametrize(
+    "confidence", ['{"a": 0.5}', "[0.5]", '{"a": 2, "b": 0}', "[0.1, NaN]", '{"a": {}}', '"x"']
+)
+def test_damaged_confidences_are_refused(tmp_path: Path, confidence: str) -> None:
+    path = tmp_path / "x.json"
+    points = '{"a": [0, 0, 0], "b": [1, 0, 0]}'
+    path.write_text(f'{{"points": {points}, "confidence": {confidence}}}')
+    with pytest.raises((ReadError, LandmarkError)):
+        Landmarks.read(path)
+
+
 # Formats ------------------------------------------------------------------------------------
 
 
