@@ -2,8 +2,8 @@
 
 import splatmorph as sm
 
-run = sm.load_run("a-b.run")
-for splat in run.sequence([0.25, 0.5, 0.75]):
+run = sm.fit_run("a.ply", "b.ply", out="a-b.run")
+for splat in run.morph().sequence([0.25, 0.5, 0.75]):
     ...
 """
 
@@ -21,22 +21,30 @@ if TYPE_CHECKING:
     from splatmorph.gaussians import Gaussians
     from splatmorph.io import read, write
     from splatmorph.landmarks import Landmarks
-    from splatmorph.morph import Morph
+    from splatmorph.metrics import evaluate
+    from splatmorph.morph import Chain, Morph
     from splatmorph.rendering import render
-    from splatmorph.runs import load_input, load_run
+    from splatmorph.runs import Fitting, Posing, Run, fit_run, load_input, load_run, open_run
 
 # Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
 _HOMES = {
+    "Chain": "morph",
     "FitConfig": "fitting",
     "FitReport": "fitting",
+    "Fitting": "runs",
     "Flow": "flows",
     "Gaussians": "gaussians",
     "Landmarks": "landmarks",
     "Morph": "morph",
+    "Posing": "runs",
+    "Run": "runs",
+    "evaluate": "metrics",
     "fit": "fitting",
+    "fit_run": "runs",
     "load_input": "runs",
     "load_run": "runs",
     "make_flow": "flows",
+    "open_run": "runs",
     "read": "io",
     "render": "rendering",
     "write": "io",

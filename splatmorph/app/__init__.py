@@ -70,7 +70,7 @@ def run(tokens: Sequence[str] | None = None) -> int:
     except CycloptsError:
         return USAGE
     except (SplatmorphError, RenderError) as error:
-        return _failed(str(error))
+        return _failed(console.spoken(error))
     except BrokenPipeError:
         # The reader of our output has gone (`| head`); Python would complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -13,13 +13,15 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.fit import BY_DEFAULT, CANONICAL_POSE, Fitting, Request, claim_run
-from splatmorph.app.options import Device, Json, Out, Overwrite
-from splatmorph.app.posing import Posing
+from splatmorph.app.fit import FittingOptions, PosingOptions
+from splatmorph.app.options import Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
-from splatmorph.runs.run import MANIFEST, has_state, open_run
+from splatmorph.runs.posing import Posing
+from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
+from splatmorph.runs.run import MANIFEST, open_run
+from splatmorph.runs.state import has_state
 
 LANDMARKS = ("source_landmarks", "target_landmarks")
 PATHS = ("source", "target", *LANDMARKS)
@@ -85,8 +87,8 @@ def batch(
     /,
     *,
     out: Out = None,
-    fitting: Fitting = BY_DEFAULT,
-    posing: Posing = CANONICAL_POSE,
+    fitting: FittingOptions = DEFAULT_FITTING,
+    posing: PosingOptions = DEFAULT_POSING,
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
@@ -106,8 +108,8 @@ def batch(
             try:
                 results.append(_fit_row(row, run, fitting, posing, device, overwrite))
             except SplatmorphError as error:
-                console.fail(f"{row.name}: {error}")
-                results.append(Result(row.name, "failed", message=str(error)))
+                console.fail(f"{row.name}: {console.spoken(error)}")
+                results.append(Result(row.name, "failed", message=console.spoken(error)))
     finally:
         _write_summary(folder / SUMMARY, results)
     if json:
@@ -176,7 +178,12 @@ def _fit_row(
     row: Row, run: Path, fitting: Fitting, posing: Posing, device: str, overwrite: bool
 ) -> Result:
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
-    asked = Request.of((row.source, row.target), dataclasses.replace(posing, **own), fitting)
+    asked = Request.of(
+        (row.source, row.target),
+        fitting,
+        dataclasses.replace(posing, **own),
+        on_warning=console.warn,
+    )
     if (run / MANIFEST).is_file() and not has_state(run):
         report = _report_of_same(asked, run)
         if report is not None and not report["interrupted"]:
@@ -187,14 +194,19 @@ def _fit_row(
                 "name"
             )
         overwrite = True
-    resume = has_state(run) and not overwrite
-    claim_run(run, resume, overwrite)
-    (fitted,) = asked.fit(run, device, resume)
-    for warning in fitted.warnings:
-        console.warn(warning)
-    if fitted.interrupted:
+    with console.fitting() as on_step:
+        fitted = asked.fit(
+            run,
+            device=choose_device(device),
+            resume=has_state(run) and not overwrite,
+            overwrite=overwrite,
+            on_step=on_step,
+            on_warning=console.warn,
+        )
+    report = fitted.legs[0].report
+    if report["interrupted"]:
         raise KeyboardInterrupt
-    return Result.of(row.name, "fitted", fitted.to_dict())
+    return Result.of(row.name, "fitted", report)
 
 
 def _report_of_same(asked: Request, run: Path) -> Mapping[str, Any] | None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import (
@@ -21,8 +23,14 @@ from rich.table import Table
 
 from splatmorph.errors import OutputExistsError
 
+if TYPE_CHECKING:
+    from splatmorph.fitting import FitProgress
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+SHORT = {"out": "-o", "overwrite": "-w"}
+"""Options that people know by one letter."""
 
 
 @dataclass
@@ -51,14 +59,26 @@ def note(message: str) -> None:
 
 
 def warn(message: str) -> None:
-    """Print a warning to stderr, unless ``--quiet``."""
+    """Print a warning to stderr, unless ``--quiet``; the library's are spoken."""
     if not manner.quiet:
-        err.print(f"warning: {message}", style="yellow", markup=False)
+        err.print(f"warning: {spoken(message)}", style="yellow", markup=False)
 
 
 def fail(message: str) -> None:
     """Print the one line of an error to stderr, whatever the manner."""
     err.print(f"error: {message}", style="red", markup=False)
+
+
+def spoken(message: object) -> str:
+    """What the library says, with its parameters spelled as options: `overwrite` as -w.
+
+    The library names them in backticks and knows no option.
+    """
+    return re.sub(
+        r"`([a-z_]+)`",
+        lambda found: SHORT.get(found[1], "--" + found[1].replace("_", "-")),
+        str(message),
+    )
 
 
 def emit_json(value: Mapping[str, object]) -> None:
@@ -94,6 +114,13 @@ def progress(what: str) -> Iterator[Callable[[int, int, str], None]]:
             bar.update(task, completed=done, total=total, note=note)
 
         yield update
+
+
+@contextlib.contextmanager
+def fitting() -> Iterator[Callable[[FitProgress], None]]:
+    """A bar on stderr for a fit; what it yields is the ``on_step`` of a fit."""
+    with progress("fitting") as update:
+        yield lambda step: update(step.step, step.steps, f"landmark MSE {step.mse:.1e}")
 
 
 def claim(path: Path, overwrite: bool) -> Path:

@@ -16,7 +16,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json, RunPath
 from splatmorph.errors import ReadError
 from splatmorph.metrics import evaluate
-from splatmorph.runs.run import Leg, load_inputs, open_run
+from splatmorph.runs.run import Leg, open_run
 
 WORST_SHOWN = 5
 SIDES = ("source", "target")
@@ -37,7 +37,7 @@ def eval(
 ) -> None:
     """Measure a run: landmark errors, flow laws, folding, energies."""
     opened = open_run(run)
-    splats = [one.gaussians.means for one in load_inputs(opened)]
+    splats = [one.gaussians.means for one in opened.load_inputs()]
     pairs = None if held_out is None else read_pairs(held_out)
     # A leg of an average goes from one splat to the mean shape, where no splat is.
     ends = splats if opened.is_mean else [torch.cat(pair) for pair in pairwise(splats)]

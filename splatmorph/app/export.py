@@ -21,14 +21,7 @@ from splatmorph.app.options import (
 from splatmorph.errors import OptionError
 from splatmorph.runs.export import export_sequence, write_measured
 from splatmorph.runs.inputs import fingerprint
-from splatmorph.runs.run import (
-    MANIFEST,
-    WEIGHTS,
-    average_of,
-    load_inputs,
-    morph_of,
-    open_run,
-)
+from splatmorph.runs.run import MANIFEST, WEIGHTS, open_run
 
 
 def export(
@@ -62,19 +55,19 @@ def export(
     """
     options: dict[str, Any] = blending.chosen()
     opened = open_run(run)
-    inputs = load_inputs(opened)
+    inputs = opened.load_inputs()
     stem = run.resolve().name.removesuffix(".run")
     if opened.is_mean:
         path = console.claim(out or Path(f"{stem}.{format or 'ply'}"), overwrite)
         if format and io.extension_of(path) != f".{format}":
             raise OptionError(f"--format {format} and -o {path} are different formats: give one")
-        moved = write_measured(path, average_of(opened, inputs, **options))
+        moved = write_measured(path, opened.average(inputs, **options))
         console.say(f"wrote {path}{lossy(path, moved)}")
         return
     if stable_count:
         options["stable_count"], prune = True, False
     times = _times(frames, t, len(inputs) - 1)
-    morph = morph_of(opened, inputs, **options)
+    morph = opened.morph(inputs, **options)
     folder = out or Path(f"{stem}-frames")
     with console.progress("writing") as update:
         written = export_sequence(

@@ -15,7 +15,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json, Out, Overwrite, Seed, SizeOption, TimesOption
 from splatmorph.app.render import STILLS, WITH_ALPHA, frame_times
 from splatmorph.errors import OptionError
-from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
+from splatmorph.fitting import FitConfig, FitReport, fit
 from splatmorph.flows import Still, make_flow
 from splatmorph.images import (
     Canvas,
@@ -182,11 +182,7 @@ def _warp(
     torch.manual_seed(seed)
     options = {"field": warping.field} if warping.field else {}
     flow = make_flow(warping.warp, dim=2, **options)
-    with console.progress("fitting") as update:
-
-        def on_step(step: FitProgress) -> None:
-            update(step.step, step.steps, f"landmark MSE {step.mse:.1e}")
-
+    with console.fitting() as on_step:
         config = FitConfig(seed=seed, smoothing=warping.smoothing)
         report = fit(flow, *pair, config, domain=_domain(canvases[0]), on_step=on_step)
     return FlowWarp(flow), pair, report

@@ -30,7 +30,7 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.rendering import SWING, bounds, there_and_back, turntable
 from splatmorph.rendering import render as render_frame
 from splatmorph.runs.inputs import load_splat
-from splatmorph.runs.run import average_of, load_inputs, morph_of, open_run
+from splatmorph.runs.run import open_run
 
 STILLS = (".png", ".jpg", ".jpeg", ".webp")
 WITH_ALPHA = ("", ".png", ".webp")
@@ -119,14 +119,14 @@ def _shot(
         splat = load_splat(what).gaussians
         return Shot(iter([splat] * count), (splat,), FULL_CIRCLE)
     run = open_run(what)
-    inputs = load_inputs(run)
+    inputs = run.load_inputs()
     times = frame_times(t, count, len(inputs) - 1)
     extent = tuple(one.gaussians for one in inputs)
     if run.is_mean:
-        splat = average_of(run, inputs, **blending)
+        splat = run.average(inputs, **blending)
         return Shot(iter([splat] * count), (splat,), SWING)
     if drive is None:
-        return Shot(morph_of(run, inputs, **blending).sequence(times), extent, SWING)
+        return Shot(run.morph(inputs, **blending).sequence(times), extent, SWING)
     avatars = [one.avatar for one in inputs]
     if len(avatars) != 2 or avatars[0] is None or avatars[1] is None:
         raise OptionError(f"--drive moves rigged avatars, but {what} is a run of other splats")
@@ -146,7 +146,7 @@ def _sheet(
     from splatmorph.view.sheet import contact_sheet
 
     run = open_run(what)
-    inputs = load_inputs(run)
+    inputs = run.load_inputs()
     last = len(inputs) - 1
     if t is None or t.stretch:
         start, end = t.values if t else (0.0, float(last))
@@ -164,7 +164,7 @@ def _sheet(
         height=height,
     )
     return contact_sheet(
-        morph_of(run, inputs, **blending),
+        run.morph(inputs, **blending),
         times,
         cameras,
         background=background or (1.0, 1.0, 1.0),

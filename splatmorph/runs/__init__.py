@@ -1,6 +1,18 @@
 """Runs: what a user asks for, its inputs, the directory that a fit leaves, and what is exported."""
 
 from splatmorph.runs.inputs import Input, load_input
+from splatmorph.runs.posing import Posing
+from splatmorph.runs.request import Fitting, Request, fit_run
 from splatmorph.runs.run import Run, load_run, open_run
 
-__all__ = ["Input", "Run", "load_input", "load_run", "open_run"]
+__all__ = [
+    "Fitting",
+    "Input",
+    "Posing",
+    "Request",
+    "Run",
+    "fit_run",
+    "load_input",
+    "load_run",
+    "open_run",
+]

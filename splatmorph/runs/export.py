@@ -133,8 +133,8 @@ def _done_before(
     earlier = sorted(f for f in folder.glob("morph_*") if io.extension_of(f) in io.FORMATS)
     if earlier and not overwrite:
         raise OutputExistsError(
-            f"{folder} holds frames already ({earlier[0].name} and more): give -w to replace "
-            "them, or -o to write elsewhere"
+            f"{folder} holds frames already ({earlier[0].name} and more): give `overwrite` to "
+            "replace them, or another `out`"
         )
     try:
         for file in [*earlier, folder / INDEX, folder / PLAN]:

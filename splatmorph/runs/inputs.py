@@ -43,26 +43,44 @@ class Input:
         return fingerprint(self.files)
 
 
-def load_splat(path: str | Path, **avatar_options: Any) -> Input:
-    """Load a splat file, or an avatar's directory posed as ``avatar_options`` say.
+def load_splat(
+    path: str | Path,
+    *,
+    frame: int | None = None,
+    pose: str | Path | None = None,
+    landmarks_set: str = "254",
+    flame: str | Path | None = None,
+    mesh: str | Path | None = None,
+) -> Input:
+    """Load a splat file, or an avatar's directory posed as the options say.
 
-    An avatar brings the landmarks of its FLAME mesh; a plain splat comes without.
+    An avatar brings the landmarks of its FLAME mesh; a plain splat comes without, and takes no
+    notice of the options, which are those of :func:`splatmorph.avatars.load_avatar`.
 
     Raises:
         ReadError: the input can't be read.
+        OptionError: the avatar can't be posed so.
     """
     path = Path(path)
     if not path.exists():
         raise ReadError(f"{path} does not exist: check the spelling and the folder")
     if not is_avatar(path):
         return Input(path, io.read(path), None, (path,))
-    options = {name: value for name, value in avatar_options.items() if value is not None}
-    avatar = load_avatar(path, **options)
+    avatar = load_avatar(
+        path, frame=frame, pose=pose, landmarks_set=landmarks_set, flame=flame, mesh=mesh
+    )
     return Input(path, avatar.gaussians, avatar.landmarks, avatar.files, avatar.options, avatar)
 
 
 def load_input(
-    path: str | Path, *, landmarks: str | Path | None = None, **avatar_options: Any
+    path: str | Path,
+    *,
+    landmarks: str | Path | None = None,
+    frame: int | None = None,
+    pose: str | Path | None = None,
+    landmarks_set: str = "254",
+    flame: str | Path | None = None,
+    mesh: str | Path | None = None,
 ) -> Input:
     """Load a splat as :func:`load_splat` does, and the landmarks that belong to it.
 
@@ -70,12 +88,20 @@ def load_input(
         path: a file that ``splatmorph.io`` reads, or an avatar as ``splatmorph.avatars`` finds it.
         landmarks: a landmark file; without one, what the avatar's FLAME mesh gives, or
             ``<stem>.landmarks.*`` beside the input.
+        frame: pose an avatar as in this frame of its track, or of that of ``pose``.
+        pose: another avatar, or a ``flame_param.npz``, whose track gives the pose.
+        landmarks_set: of an avatar's mesh: ``70``, ``254`` or ``dense``.
+        flame: the FLAME model file or its folder.
+        mesh: an avatar's vertices, in place of FLAME parameters.
 
     Raises:
         ReadError: the input or its landmarks can't be read.
+        OptionError: the avatar can't be posed so.
         LandmarkError: the landmarks are no valid set, or lie far outside the splat.
     """
-    loaded = load_splat(path, **avatar_options)
+    loaded = load_splat(
+        path, frame=frame, pose=pose, landmarks_set=landmarks_set, flame=flame, mesh=mesh
+    )
     if landmarks is None and loaded.landmarks is None:
         landmarks = Landmarks.beside(path)
     if landmarks is None:

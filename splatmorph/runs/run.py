@@ -4,7 +4,7 @@ morph.json         the inputs (path, sha256, how they were posed), landmarks, op
 flow.safetensors   the flows' weights and frames
 history.csv        the fit, step by step
 report.json        what the fit achieved
-state_N.safetensors  only where a fit was interrupted: what --resume goes on from, by leg
+state_N.safetensors  only where a fit was interrupted: what it goes on from, by leg
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
 from splatmorph.errors import OptionError, RunError
-from splatmorph.fitting import FitReport, FitState
+from splatmorph.fitting import FitReport
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
 from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain, average
 from splatmorph.runs.inputs import Input, fingerprint, load_splat
+from splatmorph.runs.state import drop_states, has_state
 
 FORMAT = 1
 MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"
-STATE = "state_{}.safetensors"
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,51 @@ class Run:
     def is_mean(self) -> bool:
         """Whether each leg goes from one input to the mean shape, rather than to the next."""
         return bool(self.options.get("mean"))
+
+    def load_inputs(self) -> tuple[Input, ...]:
+        """The splats of the run, as they were when it was fitted.
+
+        Raises:
+            RunError: an input has moved or changed.
+        """
+        return tuple(_load_again(source) for source in self.inputs)
+
+    def morph(self, inputs: Sequence[Input] | None = None, **options: Any) -> Morph | Chain:
+        """What lies between the splats: a chain where they are more than two.
+
+        Args:
+            inputs: what ``load_inputs`` gave; loaded if not given.
+            options: those of ``Morph``.
+
+        Raises:
+            RunError: an input has moved or changed.
+            OptionError: the run is an average, which has no t, or an option that ``Morph``
+                refuses.
+        """
+        if self.is_mean:
+            raise OptionError("the run is an average of its splats (`mean`), which has no t")
+        splats = [one.gaussians for one in inputs or self.load_inputs()]
+        morphs = [
+            Morph(source, target, leg.flow, **options)
+            for source, target, leg in zip(splats, splats[1:], self.legs, strict=False)
+        ]
+        return morphs[0] if len(morphs) == 1 else Chain(morphs)
+
+    def average(self, inputs: Sequence[Input] | None = None, **options: Any) -> Gaussians:
+        """The average splat of a run that was fitted to the mean shape.
+
+        Args:
+            inputs: what ``load_inputs`` gave; loaded if not given.
+            options: those of ``average``.
+
+        Raises:
+            RunError: an input has moved or changed.
+            OptionError: an option of morphs only, or one that ``average`` refuses.
+        """
+        if timed := sorted(options.keys() - {"ramp", "covariance"}):
+            raise OptionError(f"the run is an average, which has no t: leave out `{timed[0]}`")
+        splats = [one.gaussians for one in inputs or self.load_inputs()]
+        return average(splats, [leg.flow for leg in self.legs], **options)
 
 
 def remember(loaded: Input) -> Source:
@@ -138,8 +183,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
     }
     write_json(folder / MANIFEST, manifest)
     if not any(report.interrupted for report in reports):
-        for leftover in folder.glob(STATE.format("*")):
-            leftover.unlink()
+        drop_states(folder)
     return folder
 
 
@@ -188,52 +232,6 @@ def open_run(folder: str | Path) -> Run:
         raise RunError(f"{folder} is damaged or not ours ({reason}): fit it again") from error
 
 
-def load_inputs(run: Run) -> tuple[Input, ...]:
-    """The splats of a run, as they were when it was fitted.
-
-    Raises:
-        RunError: an input has moved or changed.
-    """
-    return tuple(_load_again(source) for source in run.inputs)
-
-
-def morph_of(run: Run, inputs: Sequence[Input], **options: Any) -> Morph | Chain:
-    """The morph of a run and its loaded inputs: a chain where they are more than two.
-
-    Args:
-        run: what ``open_run`` gave.
-        inputs: what ``load_inputs`` gave.
-        options: those of ``Morph``.
-
-    Raises:
-        OptionError: the run is an average, which has no t, or an option that ``Morph`` refuses.
-    """
-    if run.is_mean:
-        raise OptionError("the run is an average of its splats (--mean), which has no t")
-    splats = [one.gaussians for one in inputs]
-    morphs = [
-        Morph(source, target, leg.flow, **options)
-        for source, target, leg in zip(splats, splats[1:], run.legs, strict=False)
-    ]
-    return morphs[0] if len(morphs) == 1 else Chain(morphs)
-
-
-def average_of(run: Run, inputs: Sequence[Input], **options: Any) -> Gaussians:
-    """The average splat of a run that was fitted with ``--mean``.
-
-    Args:
-        run: what ``open_run`` gave.
-        inputs: what ``load_inputs`` gave.
-        options: those of ``average``.
-
-    Raises:
-        OptionError: an option of morphs only, or one that ``average`` refuses.
-    """
-    if timed := sorted(options.keys() - {"ramp", "covariance"}):
-        raise OptionError(f"the run is an average, which has no t: leave out --{timed[0]}")
-    return average([one.gaussians for one in inputs], [leg.flow for leg in run.legs], **options)
-
-
 def load_run(folder: str | Path, **options: Any) -> Morph | Chain:
     """The morph of a run directory; ``options`` are those of ``Morph`` (ramp, covariance, …).
 
@@ -241,43 +239,7 @@ def load_run(folder: str | Path, **options: Any) -> Morph | Chain:
         RunError: the directory is no run, or its inputs have moved or changed.
         OptionError: an option that ``Morph`` refuses.
     """
-    run = open_run(folder)
-    return morph_of(run, load_inputs(run), **options)
-
-
-def save_state(folder: Path, number: int, state: FitState, asked: str) -> None:
-    """Keep an unfinished leg; ``asked`` says what it is a fit of, so that --resume can tell."""
-    with atomic_write(make_folder(folder) / STATE.format(number)) as partial:
-        tensors = {name: tensor.contiguous() for name, tensor in state.tensors.items()}
-        partial.write_bytes(save(tensors, metadata={**state.meta, "asked": asked}))
-
-
-def has_state(folder: Path) -> bool:
-    """Whether an unfinished fit was left in ``folder``."""
-    return any(folder.glob(STATE.format("*")))
-
-
-def load_state(folder: Path, number: int, asked: str) -> FitState | None:
-    """The unfinished leg ``number`` in ``folder``; None where there is none.
-
-    Raises:
-        RunError: it is damaged, or was of other inputs or options.
-    """
-    path = folder / STATE.format(number)
-    if not path.is_file():
-        return None
-    try:
-        with safe_open(path, framework="pt") as stored:
-            meta = dict(stored.metadata() or {})
-            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-    except (OSError, SafetensorError) as error:
-        raise RunError(f"{path} can't be resumed from ({error}): fit again with -w") from error
-    if meta.pop("asked", None) != asked:
-        raise RunError(
-            f"{path} was left by a fit of other inputs or options: give the same ones to --resume, "
-            "or fit anew with -w"
-        )
-    return FitState(tensors, meta)
+    return open_run(folder).morph(**options)
 
 
 def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg:
@@ -311,11 +273,11 @@ def _load_again(source: Source) -> Input:
 def _read_json(folder: Path, name: str) -> dict[str, Any]:
     if not folder.is_dir():
         what = "is a file" if folder.exists() else "does not exist"
-        raise RunError(f"{folder} {what}, expected a run directory of  splatmorph fit")
+        raise RunError(f"{folder} {what}, expected the run directory that a fit wrote")
     path = folder / name
     if not path.is_file():
         unfinished = has_state(folder)
-        hint = "finish it with  splatmorph fit … --resume" if unfinished else "fit again"
+        hint = "fit again with `resume` to finish it" if unfinished else "fit again"
         raise RunError(f"{folder} is no complete run (no {name}): {hint}")
     try:
         value = json.loads(path.read_text(encoding="utf-8"))

@@ -15,7 +15,7 @@ from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
-from splatmorph.runs.run import load_inputs, open_run
+from splatmorph.runs.run import open_run
 
 VISIBLE = 1 / 255
 """Opacity below which no rasterizer draws a splat."""
@@ -56,7 +56,7 @@ def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[s
     run = open_run(folder)
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
-    (source, target), leg = load_inputs(run), run.legs[0]
+    (source, target), leg = run.load_inputs(), run.legs[0]
     morph = Morph(source.gaussians, target.gaussians, leg.flow, **options)
     subject = Subject(
         morph,

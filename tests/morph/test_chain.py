@@ -14,7 +14,7 @@ from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain, average, mean_landmarks
 from splatmorph.morph.ramps import RAMPS
-from splatmorph.runs.run import Run, average_of
+from splatmorph.runs.run import Run
 
 A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (20, 30, 25))
 
@@ -101,5 +101,5 @@ def test_mean_landmarks_are_those_common_to_all_by_name() -> None:
 
 @pytest.mark.parametrize("option", [{"ease": "smooth"}, {"split": 2.0}])
 def test_an_average_refuses_what_only_a_morph_has(option: dict[str, Any]) -> None:
-    with pytest.raises(OptionError, match=f"has no t: leave out --{next(iter(option))}"):
-        average_of(Run((), (), {"mean": True}), [], **option)
+    with pytest.raises(OptionError, match=f"has no t: leave out `{next(iter(option))}`"):
+        Run((), (), {"mean": True}).average([], **option)

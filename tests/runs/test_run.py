@@ -18,16 +18,8 @@ from splatmorph.flows import make_flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.inputs import load_input
-from splatmorph.runs.run import (
-    Leg,
-    Run,
-    load_run,
-    load_state,
-    open_run,
-    remember,
-    save_run,
-    save_state,
-)
+from splatmorph.runs.run import Leg, Run, load_run, open_run, remember, save_run
+from splatmorph.runs.state import load_state, save_state
 
 MakeGaussians = Callable[..., Gaussians]
 
@@ -144,7 +136,7 @@ def test_an_unfinished_fit_comes_back_only_to_what_asked_for_it(tmp_path: Path) 
     assert torch.equal(again.tensors["w"], state.tensors["w"])
     with pytest.raises(RunError, match="other inputs or options"):
         load_state(tmp_path, 0, "that")
-    with pytest.raises(RunError, match="--resume"):
+    with pytest.raises(RunError, match="`resume`"):
         open_run(tmp_path)
     (tmp_path / "state_0.safetensors").write_bytes(b"half")
     with pytest.raises(RunError, match="can't be resumed"):

@@ -1,25 +1,21 @@
-"""How the inputs of a fit are loaded: avatars posed alike, landmarks thinned, mismatches told."""
+"""How the inputs of a fit are loaded: avatars posed alike, landmarks given, found and thinned."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from cyclopts import Parameter
-
-from splatmorph.app import console
-from splatmorph.avatars import LANDMARK_SETS, pose_warnings, thin
-from splatmorph.errors import LandmarkError
+from splatmorph.avatars import pose_warnings, thin
+from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.inputs import Input, load_input
 
 Pair = tuple[Landmarks, Landmarks]
 
 
-@Parameter(name="*")
 @dataclass(frozen=True)
 class Posing:
     """Where landmarks come from and how avatars are posed; plain splats stay as they are."""
@@ -28,7 +24,8 @@ class Posing:
     """Default: landmarks beside the source, or those of its FLAME mesh."""
     target_landmarks: Path | None = None
     """Default: landmarks beside the target, or those of its FLAME mesh."""
-    landmarks_set: Annotated[str, Parameter(help=f"Of FLAME: {', '.join(LANDMARK_SETS)}.")] = "254"
+    landmarks_set: str = "254"
+    """Of FLAME: 70, 254, dense."""
     landmarks_count: int | None = None
     """Use at most this many landmarks, spread evenly; 500 of the dense set by default."""
     frame: int | None = None
@@ -42,30 +39,38 @@ class Posing:
     target_mesh: Path | None = None
     """The target's FLAME mesh, in place of flame_param.npz."""
 
-    def load(self, paths: Sequence[Path]) -> list[Input]:
-        """Load the inputs in their order, and warn where they are posed apart."""
-        sides = {0: (self.source_landmarks, self.source_mesh)}
-        sides[1] = (self.target_landmarks, self.target_mesh)
+    def __post_init__(self) -> None:
+        if self.pose_from not in (None, "source", "target"):
+            raise OptionError(f"pose_from is {self.pose_from!r}, expected source or target")
+
+    def load(
+        self, paths: Sequence[str | Path], on_warning: Callable[[str], None]
+    ) -> tuple[Input, ...]:
+        """Load the inputs in their order, and warn where they are posed apart.
+
+        Raises:
+            SplatmorphError: an input can't be read, or can't be posed so.
+        """
+        sides = [(self.source_landmarks, self.source_mesh)]
+        sides.append((self.target_landmarks, self.target_mesh))
+        sides += [(None, None)] * (len(paths) - 2)
         pose = {None: None, "source": paths[0], "target": paths[1]}[self.pose_from]
-        loaded = []
-        for i, path in enumerate(paths):
-            landmarks, mesh = sides.get(i, (None, None))
-            loaded.append(
-                load_input(
-                    path,
-                    landmarks=landmarks,
-                    mesh=mesh,
-                    frame=self.frame,
-                    pose=pose,
-                    landmarks_set=self.landmarks_set,
-                    flame=self.flame,
-                )
+        loaded = tuple(
+            load_input(
+                path,
+                landmarks=landmarks,
+                mesh=mesh,
+                frame=self.frame,
+                pose=pose,
+                landmarks_set=self.landmarks_set,
+                flame=self.flame,
             )
+            for path, (landmarks, mesh) in zip(paths, sides, strict=True)
+        )
+        by_mesh = not (self.source_landmarks or self.target_landmarks)
         for one, following in itertools.pairwise(loaded):
-            if one.avatar or following.avatar:
-                by_mesh = not (self.source_landmarks or self.target_landmarks)
-                for warning in pose_warnings(one.avatar, following.avatar, by_mesh=by_mesh):
-                    console.warn(warning)
+            for warning in pose_warnings(one.avatar, following.avatar, by_mesh=by_mesh):
+                on_warning(warning)
         return loaded
 
     def thinned(self, pair: Pair) -> Pair:
@@ -85,6 +90,6 @@ def landmarks_of(loaded: Input) -> Landmarks:
         raise LandmarkError(
             f"{loaded.path} has no landmarks beside it: put them in "
             f'{loaded.name}.landmarks.json ({{"points": {{"nose": [x, y, z], …}}}}), or give '
-            "--source-landmarks and --target-landmarks"
+            "`source_landmarks` and `target_landmarks`"
         )
     return loaded.landmarks

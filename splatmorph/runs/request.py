@@ -1,0 +1,301 @@
+"""Request: a fit that is asked for, everything loaded, and the run that it makes."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from splatmorph.errors import OptionError, OutputExistsError, WriteError
+from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
+from splatmorph.flows import Flow, Node, make_flow
+from splatmorph.landmarks import Landmarks
+from splatmorph.morph import mean_landmarks
+from splatmorph.runs.inputs import Input
+from splatmorph.runs.posing import Pair, Posing, landmarks_of
+from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
+from splatmorph.runs.state import has_state, load_state, save_state
+
+MOST_DOMAIN_POINTS = 20_000
+"""Centers of splats that stand for the objects that a flow moves."""
+
+OnStep = Callable[[FitProgress], None]
+OnWarning = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Fitting:
+    """Which flow, and how it is fitted."""
+
+    flow: str = Node.kind
+    """node or ncf; or a baseline: ifmorph, tps, linear."""
+    field: str | None = None
+    """Of the node flow: spline (the default) or siren."""
+    smoothing: float = FitConfig.smoothing
+    """Weight of bending against missed landmarks; raise it for noisy ones, 0 meets them."""
+    energy: str | None = None
+    """What training keeps small: jacobian (the paper's) or hessian."""
+    steps: int | None = None
+    """Most training steps."""
+    seed: int = 0
+    """Seed of everything random."""
+
+    def make(self) -> Flow:
+        """The unfitted flow in space.
+
+        Raises:
+            OptionError: there is no such flow or field.
+        """
+        options = {"field": self.field} if self.field else {}
+        return make_flow(self.flow, dim=3, **options)
+
+    def config(self) -> FitConfig:
+        """What ``fit`` is told.
+
+        Raises:
+            OptionError: a value that can't be.
+        """
+        return FitConfig(
+            seed=self.seed, steps=self.steps, smoothing=self.smoothing, energy=self.energy
+        )
+
+
+DEFAULT_FITTING = Fitting()
+DEFAULT_POSING = Posing()
+
+
+@dataclass(frozen=True)
+class LegRequest:
+    """One flow that is asked for: from where to where, and what it moves."""
+
+    source_points: Tensor
+    """(m, 3) float64, world units."""
+    target_points: Tensor
+    """(m, 3) float64: where they go."""
+    names: tuple[str, ...]
+    domain: Tensor
+    """(n, 3) float64, world units: where the objects are."""
+
+    @staticmethod
+    def of(pair: Pair, moved: Sequence[Input]) -> LegRequest:
+        """Match the landmarks of a leg that moves the splats of ``moved``.
+
+        Raises:
+            LandmarkError: they don't match.
+        """
+        p, q, names = pair[0].match(pair[1])
+        each = MOST_DOMAIN_POINTS // len(moved)
+        means = [one.gaussians.means for one in moved]
+        domain = torch.cat([m[:: max(1, len(m) // each)] for m in means]).double()
+        return LegRequest(p, q, names, domain)
+
+    def made(self, leg: Leg) -> bool:
+        """Whether ``leg`` goes between the same landmarks."""
+        return (
+            leg.names == self.names
+            and torch.equal(leg.source_points, self.source_points)
+            and torch.equal(leg.target_points, self.target_points)
+        )
+
+
+@dataclass(frozen=True)
+class Request:
+    """A fit as it is asked for, everything loaded."""
+
+    inputs: tuple[Input, ...]
+    legs: tuple[LegRequest, ...]
+    fitting: Fitting
+    mean: bool
+    """Whether each leg goes from one input to the mean shape, rather than to the next."""
+
+    @staticmethod
+    def of(
+        paths: Sequence[str | Path],
+        fitting: Fitting = DEFAULT_FITTING,
+        posing: Posing = DEFAULT_POSING,
+        *,
+        mean: bool = False,
+        on_warning: OnWarning | None = None,
+    ) -> Request:
+        """Load the splats and match their landmarks; see :func:`fit_run` for the arguments.
+
+        Raises:
+            SplatmorphError: an input can't be read, or has no landmarks that match.
+        """
+        if len(paths) < 2:
+            raise OptionError(f"{len(paths)} splats are given, expected two or more")
+        inputs = posing.load(paths, on_warning or _log_warning)
+        legs = _legs(inputs, posing, mean)
+        return Request(inputs, tuple(legs), fitting, mean)
+
+    @property
+    def folder(self) -> Path:
+        """Where the run is written if nobody says: in the current folder, named by its inputs."""
+        names = "-".join(one.name for one in self.inputs)
+        return Path(f"{names}-mean.run" if self.mean else f"{names}.run")
+
+    @property
+    def options(self) -> Mapping[str, Any]:
+        """What the run remembers of how it was asked for."""
+        return dataclasses.asdict(self.fitting) | {"mean": self.mean}
+
+    def made(self, run: Run) -> bool:
+        """Whether ``run`` is a fit of the same inputs and landmarks with the same options."""
+        return (
+            run.options == self.options
+            and run.inputs == tuple(remember(one) for one in self.inputs)
+            and len(run.legs) == len(self.legs)
+            and all(one.made(leg) for one, leg in zip(self.legs, run.legs, strict=True))
+        )
+
+    def fit(
+        self,
+        out: str | Path | None = None,
+        *,
+        device: str = "cpu",
+        resume: bool = False,
+        overwrite: bool = False,
+        on_step: OnStep | None = None,
+        on_warning: OnWarning | None = None,
+    ) -> Run:
+        """Fit each flow and write the run; see :func:`fit_run` for the arguments."""
+        folder = self.folder if out is None else Path(out)
+        claim_run(folder, resume=resume, overwrite=overwrite)
+        made: list[Leg] = []
+        reports: list[FitReport] = []
+        for i, leg in enumerate(self.legs):
+            flow = self.fitting.make().to(device)
+            report = self._fit_leg(i, flow, folder, resume, on_step)
+            reports.append(report)
+            for warning in report.warnings:
+                (on_warning or _log_warning)(warning)
+            if report.interrupted and i + 1 < len(self.legs):
+                raise KeyboardInterrupt
+            points = leg.source_points, leg.target_points
+            made.append(Leg(flow.cpu(), *points, leg.names, report.to_dict()))
+        inputs = tuple(remember(one) for one in self.inputs)
+        run = Run(inputs, tuple(made), self.options, folder)
+        save_run(folder, run, reports)
+        return run
+
+    def _fit_leg(
+        self, number: int, flow: Flow, folder: Path, resume: bool, on_step: OnStep | None
+    ) -> FitReport:
+        leg = self.legs[number]
+        asked = self._signature(number)
+        return fit(
+            flow,
+            Landmarks(leg.source_points, leg.names),
+            Landmarks(leg.target_points, leg.names),
+            self.fitting.config(),
+            domain=leg.domain.to(flow.center.device),
+            on_step=on_step,
+            resume=load_state(folder, number, asked) if resume else None,
+            on_state=lambda kept: save_state(folder, number, kept, asked),
+        )
+
+    def _signature(self, number: int) -> str:
+        # Tells an unfinished leg from one of another fit.
+        points = [
+            [leg.names, leg.source_points.tolist(), leg.target_points.tolist()] for leg in self.legs
+        ]
+        return json.dumps([number, self.options, points])
+
+
+def fit_run(
+    *paths: str | Path,
+    out: str | Path | None = None,
+    fitting: Fitting = DEFAULT_FITTING,
+    posing: Posing = DEFAULT_POSING,
+    mean: bool = False,
+    device: str = "cpu",
+    resume: bool = False,
+    overwrite: bool = False,
+    on_step: OnStep | None = None,
+    on_warning: OnWarning | None = None,
+) -> Run:
+    """Fit the flows that carry splats into each other, and write the run directory.
+
+        run = sm.fit_run("a.ply", "b.ply", fitting=sm.Fitting(flow="ncf"))
+        middle = run.morph().at(0.5)
+
+    Args:
+        paths: two splats or more, as :func:`load_input` takes them; more than two make a chain.
+        out: the run directory; ``A-B.run`` in the current folder if not given.
+        fitting: which flow, and how it is fitted.
+        posing: where landmarks come from, and how avatars are posed.
+        mean: fit each splat to the mean shape of all, rather than to the next.
+        device: of torch, where the flows are fitted.
+        resume: go on with a fit that was interrupted in ``out``.
+        overwrite: replace what is in ``out``.
+        on_step: called with the progress of each leg in turn.
+        on_warning: called with what may look wrong, a line each; without it they are logged.
+
+    ``KeyboardInterrupt`` during the last leg keeps the best flow so far, and its report says so;
+    earlier it is raised, and ``resume`` goes on.
+
+    Raises:
+        OutputExistsError: something is in ``out`` that may not be replaced or gone on with.
+        SplatmorphError: an input or its landmarks can't be read, the fit fails, or the run can't
+            be written.
+    """
+    request = Request.of(paths, fitting, posing, mean=mean, on_warning=on_warning)
+    return request.fit(
+        out,
+        device=device,
+        resume=resume,
+        overwrite=overwrite,
+        on_step=on_step,
+        on_warning=on_warning,
+    )
+
+
+def claim_run(folder: Path, *, resume: bool, overwrite: bool) -> None:
+    """Refuse a folder that a run may not be written to.
+
+    Raises:
+        OutputExistsError: something is there that may not be replaced or gone on with.
+        WriteError: a file is where the folder would be.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise WriteError(f"{folder} is a file: give another `out` for the run")
+    finished = (folder / MANIFEST).is_file()
+    if resume:
+        if finished and not has_state(folder):
+            raise OutputExistsError(f"{folder} is finished, nothing is left to `resume`")
+        return
+    if finished and not overwrite:
+        raise OutputExistsError(
+            f"{folder} is a finished run: give `overwrite` to fit it anew, or another `out`"
+        )
+    if folder.is_dir() and not overwrite and any(folder.iterdir()):
+        raise OutputExistsError(
+            f"{folder} is there already and no finished run: give `resume` to go on with an "
+            "interrupted fit, `overwrite` to fit anew, or another `out`"
+        )
+
+
+def _legs(inputs: Sequence[Input], posing: Posing, mean: bool) -> list[LegRequest]:
+    points = [landmarks_of(one) for one in inputs]
+    if mean:
+        middle = mean_landmarks(points)
+        return [
+            LegRequest.of(posing.thinned((marks, middle)), [one])
+            for marks, one in zip(points, inputs, strict=True)
+        ]
+    return [
+        LegRequest.of(posing.thinned(pair), moved)
+        for pair, moved in zip(itertools.pairwise(points), itertools.pairwise(inputs), strict=True)
+    ]
+
+
+def _log_warning(message: str) -> None:
+    logging.getLogger("splatmorph").warning(message)
