@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
+from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import Json
 from splatmorph.avatars import is_avatar, summarize
@@ -52,6 +53,7 @@ def describe(file: Path) -> dict[str, Any]:
     return {
         "file": str(file),
         "kind": "splat in world space",
+        "layout": "GaussianAvatars" if rig else io.layout(file),
         **rig,
         "splats": len(gaussians),
         "sh_degree": gaussians.sh_degree,

@@ -9,9 +9,10 @@ from pathlib import Path
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.compressed_ply import write_compressed_ply
-from splatmorph.io.ply import read_ply, write_ply
+from splatmorph.io.dialects import STRANGE_FILES
+from splatmorph.io.ply import ply_layout, read_ply, write_ply
 from splatmorph.io.splat import read_splat, write_splat
-from splatmorph.io.spz import read_spz, write_spz
+from splatmorph.io.spz import read_spz, spz_layout, write_spz
 
 
 @dataclass(frozen=True)
@@ -20,20 +21,23 @@ class Format:
 
     read: Callable[[Path], Gaussians]
     write: Callable[[Path, Gaussians, Sequence[str]], None]
+    layout: Callable[[Path], str]
+    """In words, which of its layouts a file has."""
     loses: str = ""
     """What writing costs beside the positions; empty where reading gives back every bit."""
 
 
 ROUNDED = "rotations, scales, colours and opacities are rounded"
 FORMATS = {
-    ".ply": Format(read_ply, write_ply),
-    ".compressed.ply": Format(read_ply, write_compressed_ply, ROUNDED),
+    ".ply": Format(read_ply, write_ply, ply_layout),
+    ".compressed.ply": Format(read_ply, write_compressed_ply, ply_layout, ROUNDED),
     ".splat": Format(
         read_splat,
         write_splat,
+        lambda path: "splat of antimatter15",
         "rotations, colours and opacities are rounded, colour that depends on the view is left out",
     ),
-    ".spz": Format(read_spz, write_spz, ROUNDED),
+    ".spz": Format(read_spz, write_spz, spz_layout, ROUNDED),
 }
 """By extension."""
 
@@ -49,12 +53,16 @@ def read(path: str | Path) -> Gaussians:
         ReadError: the file is missing, of another format, damaged, or holds values that no
             renderer can show.
     """
-    path = Path(path)
-    if path.is_dir():
-        raise ReadError(f"{path} is a directory, expected a splat file ({_known()})")
-    if extension_of(path) not in FORMATS:
-        raise ReadError(f"{path} has an extension we don't read; we read {_known()}")
-    return FORMATS[extension_of(path)].read(path)
+    return _format_of(Path(path)).read(Path(path))
+
+
+def layout(path: str | Path) -> str:
+    """In words, how a splat file is laid out: format, version, dialect, who writes it.
+
+    Raises:
+        ReadError: see :func:`read`.
+    """
+    return _format_of(Path(path)).layout(Path(path))
 
 
 def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -89,8 +97,19 @@ def stem_of(path: str | Path) -> str:
     return name[: len(name) - len(extension_of(path))]
 
 
+def _format_of(path: Path) -> Format:
+    if path.is_dir():
+        raise ReadError(f"{path} is a directory, expected a splat file ({_known()})")
+    extension = extension_of(path)
+    if extension in STRANGE_FILES:
+        raise ReadError(f"{path} is {STRANGE_FILES[extension]}")
+    if extension not in FORMATS:
+        raise ReadError(f"{path} has an extension we don't read; we read {_known()}")
+    return FORMATS[extension]
+
+
 def _known() -> str:
     return ", ".join(sorted(FORMATS))
 
 
-__all__ = ["FORMATS", "Format", "extension_of", "read", "stem_of", "write"]
+__all__ = ["FORMATS", "Format", "extension_of", "layout", "read", "stem_of", "write"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -14,6 +15,8 @@ from splatmorph.errors import ReadError
 from splatmorph.io.atomic import atomic_write
 
 Columns = Mapping[str, NDArray[np.generic]]
+
+LONGEST_HEADER = 1 << 16
 
 
 def read_elements(path: str | Path) -> dict[str, Columns]:
@@ -29,7 +32,7 @@ def read_elements(path: str | Path) -> dict[str, Columns]:
         if path.stat().st_size == 0:
             raise ReadError(f"{path} is empty, expected a PLY file: export or download it again")
         # Copy on write: columns are copied below, so the file is read only once.
-        elements = PlyData.read(path, mmap="c").elements
+        elements = PlyData.read(_in_ascii(path), mmap="c").elements
     except OSError as error:
         raise ReadError(f"can't read {path}: {error.strerror or error}") from error
     except (PlyParseError, ValueError, UnicodeDecodeError, OverflowError, MemoryError) as error:
@@ -55,6 +58,17 @@ def write_elements(
     header += [line.encode("ascii", "replace").decode() for line in comments]
     with atomic_write(path) as partial:
         PlyData(described, byte_order="<", comments=header).write(partial)
+
+
+def _in_ascii(path: Path) -> Path | io.BytesIO:
+    """What plyfile can read: it wants ASCII throughout a header, and comments come in any."""
+    with path.open("rb") as stream:
+        start = stream.read(LONGEST_HEADER)
+        end = start.find(b"end_header")
+        if end < 0 or start[:end].isascii():
+            return path
+        header = start[:end].decode("ascii", "replace").replace("\ufffd", "?").encode()
+        return io.BytesIO(header + start[end:] + stream.read())
 
 
 def _columns(data: NDArray[np.void]) -> dict[str, NDArray[np.generic]]:

@@ -15,12 +15,11 @@ from splatmorph.errors import LocalFrameError, ReadError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
 from splatmorph.io.checks import check_count, check_stored
 from splatmorph.io.compressed_ply import is_compressed, unpack
+from splatmorph.io.dialects import COLOUR, SCALES, dialects_of, finite_logits, translated
 from splatmorph.io.elements import Columns, read_elements, write_elements
 
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
-COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
-SCALES = ("scale_0", "scale_1", "scale_2")
 QUATS = ("rot_0", "rot_1", "rot_2", "rot_3")
 REQUIRED = (*MEANS, *COLOUR, "opacity", *SCALES, *QUATS)
 BINDING = "binding_0"
@@ -35,7 +34,8 @@ EXTRA_TYPES: dict[Any, np.dtype[Any]] = {
 def read_ply(path: str | Path) -> Gaussians:
     """Read a splat in world space from a PLY file: ascii or binary, properties in any order.
 
-    A compressed PLY is recognised by what it holds, whatever its name.
+    A compressed PLY is recognised by what it holds, whatever its name, and so are the dialects of
+    ``dialects.py``.
 
     Raises:
         LocalFrameError: positions are in the frames of mesh triangles (``binding_0``).
@@ -54,8 +54,22 @@ def read_ply(path: str | Path) -> Gaussians:
     return gaussians_from_properties(columns, path)
 
 
+def ply_layout(path: str | Path) -> str:
+    """In words, which of the layouts that we know a PLY file has.
+
+    Raises:
+        ReadError: the file is missing, empty, truncated or no PLY.
+    """
+    elements = read_elements(path)
+    if is_compressed(elements):
+        return "compressed PLY of SuperSplat"
+    spoken = dialects_of(elements.get("vertex", {}))
+    names = [f"{dialect.name} ({dialect.writers})" for dialect in spoken]
+    return "PLY with " + " and ".join(names) if names else "PLY as Inria lays it out"
+
+
 def read_properties(path: str | Path) -> Columns:
-    """The properties of the splats in a PLY file by name, (n,) each, native byte order, as stored.
+    """The properties of the splats in a PLY file by Inria's names, (n,) each, native byte order.
 
     Raises:
         ReadError: the file is missing, empty, truncated, no PLY, or holds no splats.
@@ -84,7 +98,7 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
         means=torch.from_numpy(_stack(columns, MEANS)),
         quats=torch.from_numpy(_stack(columns, QUATS)),
         log_scales=torch.from_numpy(_stack(columns, SCALES)),
-        opacity_logits=torch.from_numpy(columns["opacity"].astype(np.float32)),
+        opacity_logits=torch.from_numpy(finite_logits(columns["opacity"])),
         sh=torch.from_numpy(sh),
         extras=extras,
     )
@@ -161,7 +175,7 @@ def _plain_splat(elements: Mapping[str, Columns], path: str | Path) -> Columns:
     if "vertex" not in elements:
         names = ", ".join(elements) or "nothing"
         raise ReadError(f"{path} has no vertices (it holds {names}), expected a splat PLY")
-    columns = elements["vertex"]
+    columns = translated(elements["vertex"], path)
     missing = [name for name in REQUIRED if name not in columns]
     if not missing:
         check_count(len(columns["x"]), path)

@@ -80,13 +80,7 @@ def read_spz(path: str | Path) -> Gaussians:
         ReadError: see :func:`splatmorph.io.read`.
     """
     path = Path(path)
-    data = read_bytes(path)
-    if data.startswith(GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise _broken(path) from error
-    header = _header(data, path)
+    data, header = _unzipped(path)
     body = data[HEADER.size :] if header.version <= LAST_GZIP else _inflated(data, header, path)
     if len(body) < sum(header.sizes):
         raise _broken(path)
@@ -104,6 +98,15 @@ def read_spz(path: str | Path) -> Gaussians:
         opacities=alphas[:, 0] / 255,
         sh=np.concatenate([dc[:, None], rest], axis=1),
     )
+
+
+def spz_layout(path: str | Path) -> str:
+    """In words, the version of an ``.spz`` file.
+
+    Raises:
+        ReadError: see :func:`splatmorph.io.read`.
+    """
+    return f"SPZ {_unzipped(Path(path))[1].version} of Niantic"
 
 
 def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -140,6 +143,16 @@ def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     with atomic_write(path) as partial:
         # No time in the file: the same splat gives the same bytes.
         partial.write_bytes(gzip.compress(body, compresslevel=6, mtime=0))
+
+
+def _unzipped(path: Path) -> tuple[bytes, Header]:
+    data = read_bytes(path)
+    if data.startswith(GZIP):
+        try:
+            data = gzip.decompress(data)
+        except (EOFError, OSError, zlib.error) as error:
+            raise _broken(path) from error
+    return data, _header(data, path)
 
 
 def _header(data: bytes, path: Path) -> Header:
