@@ -1,1 +1,1 @@
-"""Rotations of space, and what they do to colours that depend on the direction."""
+"""Rotations and similarities of space, and what they do to colours that depend on direction."""
