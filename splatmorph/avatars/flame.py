@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from splatmorph.avatars.flame_file import JOINTS, VERTICES, FlameArrays, read_flame
 from splatmorph.avatars.teeth import TEETH_VERTICES, with_teeth
 from splatmorph.errors import ReadError
+from splatmorph.geometry.quaternions import matrices_from_axis_angles
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,7 @@ class Flame(nn.Module):
         shaped = rest + _blend(self.expressions, pose.expression, "expression")
         shaped = _offset(shaped, pose.offset)
         places = torch.einsum("jv,...vc->...jc", self.regressor, shaped)
-        rotations = rotation_matrices(pose.joints.double())
+        rotations = matrices_from_axis_angles(pose.joints.double())
         feature = (rotations[..., 1:, :, :] - torch.eye(3, dtype=torch.float64)).flatten(-3)
         corrected = shaped + torch.einsum("vcp,...p->...vc", self.poses, feature)
         turned, moved = self._chain(rotations, places)
@@ -121,14 +122,6 @@ class Flame(nn.Module):
 def _read(path: Path, modified: int, teeth: bool) -> Flame:
     arrays = read_flame(path)
     return Flame(with_teeth(arrays) if teeth else arrays)
-
-
-def rotation_matrices(axis_angles: Tensor) -> Tensor:
-    """Rodrigues: axis-angle vectors (..., 3), radians -> rotation matrices (..., 3, 3)."""
-    x, y, z = axis_angles.unbind(-1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1)
-    return torch.linalg.matrix_exp(skew.unflatten(-1, (3, 3)))
 
 
 def _blend(directions: Tensor, coefficients: Tensor, what: str) -> Tensor:

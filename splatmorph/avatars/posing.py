@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from splatmorph.avatars.avatar import Avatar
-from splatmorph.avatars.flame import Pose, rotation_matrices
+from splatmorph.avatars.flame import Pose
 from splatmorph.avatars.teeth import LOWER_LIP, UPPER_LIP
+from splatmorph.geometry.quaternions import matrices_from_axis_angles
 
 JOINTS_WATCHED = {"head": (0, 10.0), "neck": (1, 10.0), "jaw": (2, 3.0)}
 """Joint, and the angle in degrees from which two heads count as posed apart. The chin is some
@@ -78,7 +79,8 @@ def _apart(source: Avatar, target: Avatar) -> list[str]:
 
 def _angles(source: Pose, target: Pose) -> list[float]:
     """Degrees between the rotations of each joint."""
-    relative = rotation_matrices(source.joints).mT @ rotation_matrices(target.joints)
+    turned, turning = (matrices_from_axis_angles(each.joints) for each in (source, target))
+    relative = turned.mT @ turning
     cosines = (relative.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
     return [math.degrees(angle) for angle in cosines.clamp(-1, 1).acos().tolist()]
 

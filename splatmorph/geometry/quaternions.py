@@ -1,4 +1,4 @@
-"""Unit quaternions, wxyz, as rotations: the product, and the way from a matrix."""
+"""Rotations of space: quaternions wxyz, matrices, axis-angle vectors, and the ways between."""
 
 from __future__ import annotations
 
@@ -26,6 +26,28 @@ def product(left: Tensor, right: Tensor) -> Tensor:
         ],
         dim=-1,
     )
+
+
+def to_matrices(quats: Tensor) -> Tensor:
+    """Quaternions (..., 4) of any length but zero as rotation matrices (..., 3, 3)."""
+    w, x, y, z = (quats / torch.linalg.vector_norm(quats, dim=-1, keepdim=True)).unbind(-1)
+    # Each entry in one piece of memory, as those like it who go through matrices entry by entry.
+    entries = torch.stack(
+        [
+            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
+            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
+            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
+        ]
+    )
+    return entries.movedim((0, 1), (-2, -1))
+
+
+def matrices_from_axis_angles(axis_angles: Tensor) -> Tensor:
+    """Rodrigues: vectors (..., 3), radians about their direction -> matrices (..., 3, 3)."""
+    x, y, z = axis_angles.unbind(-1)
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1)
+    return torch.linalg.matrix_exp(skew.unflatten(-1, (3, 3)))
 
 
 def from_matrices(rotations: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from splatmorph.geometry.quaternions import from_matrices, product
+from splatmorph.geometry.quaternions import from_matrices, product, to_matrices
 
 PAIRS = ((0, 1, 2), (1, 2, 0), (2, 0, 1))
 """Two axes that a Jacobi rotation mixes, and the one it turns about."""
@@ -66,18 +66,6 @@ def carried_shapes(
         moments.append((product(turn, axes), pushed, turn))
     found, grown, turns = (torch.stack(each).to(quats) for each in zip(*moments, strict=True))
     return found, grown, turns
-
-
-def rotation_matrices(quats: Tensor) -> Tensor:
-    """Rotation matrices of quaternions of any length but zero: (4, n) -> (3, 3, n)."""
-    w, x, y, z = quats / quats.norm(dim=0)
-    return torch.stack(
-        [
-            torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)]),
-            torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)]),
-            torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]),
-        ]
-    )
 
 
 def polar_rotation(jacobians: Tensor) -> Tensor:
@@ -155,7 +143,11 @@ def stretched_axes(
     """
     largest = log_scales.amax(0)
     relative = (log_scales - largest).clamp_min(LEAST).exp()
-    axes = (stretch[:, :, None] * rotation_matrices(quats)[None]).sum(1) * relative
-    rows = (axes[:, :, None] * rotation_matrices(nearby)[:, None]).sum(0)
+    axes = (stretch[:, :, None] * _axes(quats)[None]).sum(1) * relative
+    rows = (axes[:, :, None] * _axes(nearby)[:, None]).sum(0)
     columns, turned = orthogonalise(rows, nearby)
     return turned, 0.5 * columns.square().sum(0).log() + largest
+
+
+def _axes(quats: Tensor) -> Tensor:
+    return to_matrices(quats.T).permute(1, 2, 0)

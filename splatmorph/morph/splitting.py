@@ -23,7 +23,7 @@ from torch import Tensor
 
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph.covariance import rotation_matrices
+from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.ramps import DENSEST, STEPS, interpolated, scaled_logits
 from splatmorph.morph.transport import KNOTS, jacobian_blocks
 
@@ -67,7 +67,7 @@ def _longest(gaussians: Gaussians, flow: Flow, direction: int) -> Tensor:
     stops = [direction * k / KNOTS for k in range(1, KNOTS + 1)]
     lengths = gaussians.scales.clone()
     for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
-        axes = rotation_matrices(gaussians.quats[block].T).permute(2, 0, 1)
+        axes = to_matrices(gaussians.quats[block])
         stretches = (jacobians @ axes).square().sum(2).amax(0).sqrt()
         lengths[block] *= stretches.clamp_min(1)
     return lengths
@@ -85,7 +85,7 @@ def split(gaussians: Gaussians, parents: Tensor, axis: Tensor, share: float = SH
     )
     along = torch.nn.functional.one_hot(axis, 3).bool()
     narrower = torch.where(along, math.log(share), width.log()[:, None])
-    direction = rotation_matrices(whole.quats.T).permute(2, 0, 1)[torch.arange(len(axis)), :, axis]
+    direction = to_matrices(whole.quats)[torch.arange(len(axis)), :, axis]
     offset = (distance * whole.scales[along])[:, None] * direction
 
     smaller = replace(whole, log_scales=whole.log_scales + narrower)

@@ -15,7 +15,8 @@ from torch import Tensor
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import rotate_sh
-from splatmorph.morph.covariance import carried_shapes, rotation_matrices
+from splatmorph.geometry.quaternions import to_matrices
+from splatmorph.morph.covariance import carried_shapes
 
 KNOTS = 8
 """Moments a unit of t at which shapes are worked out; in between they are interpolated."""
@@ -60,7 +61,7 @@ def move_shapes(
         turned = replace(moved(k), **shapes)
         if turns is None:
             return turned
-        rotations = rotation_matrices(turns.T).permute(2, 0, 1)
+        rotations = to_matrices(turns)
         return replace(turned, sh=rotate_sh(gaussians.sh, rotations))
 
     return frame

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from renderer import Camera, orbit
 from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph.covariance import rotation_matrices
+from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.morph.transport import COVARIANCES
 from splatmorph.rendering import Colour, render
@@ -158,11 +158,11 @@ class Viewer:
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)
         kept = self.shown.select(thin(self.shown, self.max_splats))
-        axes = rotation_matrices(kept.quats.double().T) * kept.scales.double().T[None]
+        axes = to_matrices(kept.quats.double()) * kept.scales.double()[:, None]
         self._splats = self.server.scene.add_gaussian_splats(
             "/morph",
             centers=kept.means.float().numpy(force=True),
-            covariances=torch.einsum("ijn,kjn->nik", axes, axes).float().numpy(force=True),
+            covariances=(axes @ axes.mT).float().numpy(force=True),
             rgbs=(0.5 + SH0 * kept.sh[:, 0]).clamp(0, 1).float().numpy(force=True),
             opacities=kept.opacities[:, None].float().numpy(force=True),
         )
@@ -211,7 +211,7 @@ class Viewer:
 
 def camera_of(eye: Any) -> Camera:
     """The camera of a visitor: viser's camera → world rotation wxyz and position, fov upright."""
-    rotation = rotation_matrices(torch.as_tensor(eye.wxyz, dtype=torch.float64)[:, None])[..., 0]
+    rotation = to_matrices(torch.as_tensor(eye.wxyz, dtype=torch.float64))
     viewmat = np.eye(4)
     viewmat[:3, :3] = rotation.numpy().T
     viewmat[:3, 3] = -viewmat[:3, :3] @ np.asarray(eye.position)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation
 
-from splatmorph.avatars.flame import Flame, Pose, rotation_matrices
+from splatmorph.avatars.flame import Flame, Pose
 from splatmorph.avatars.flame_file import read_flame
 from splatmorph.avatars.teeth import LOWER_LIP, UPPER_LIP, teeth_faces
 from splatmorph.errors import ReadError
@@ -55,13 +55,6 @@ def test_the_root_turns_everything_about_itself(
     pivot = flame.regressor[0].numpy() @ rest.numpy()
     wanted = (still - pivot) @ Rotation.from_rotvec(root).as_matrix().T + pivot
     np.testing.assert_allclose(turned, wanted, atol=1e-12)
-
-
-@settings(max_examples=5, deadline=None)
-@given(angles=ANGLES)
-def test_rotation_matrices_are_scipys(angles: np.ndarray) -> None:
-    found = rotation_matrices(torch.from_numpy(angles)).numpy()
-    np.testing.assert_allclose(found, Rotation.from_rotvec(angles).as_matrix(), atol=1e-13)
 
 
 def test_a_batch_is_its_frames(flame: Flame) -> None:

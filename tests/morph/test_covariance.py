@@ -12,8 +12,9 @@ from morph_cases import AffineFlow, affine_flow, random_gaussians
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph import Morph
-from splatmorph.morph.covariance import polar_rotation, rotation_matrices, stretched_axes
+from splatmorph.morph.covariance import polar_rotation, stretched_axes
 from splatmorph.morph.transport import COVARIANCES, KNOTS
 
 TIMES = [k / 100 for k in range(1, 101)]
@@ -26,7 +27,7 @@ def normal(*shape: int, seed: int = 0) -> Tensor:
 
 def square_roots(gaussians: Gaussians) -> Tensor:
     """R S with Σ = R S (R S)ᵀ, (n, 3, 3)."""
-    rotations = rotation_matrices(gaussians.quats.T.double()).permute(2, 0, 1)
+    rotations = to_matrices(gaussians.quats.double())
     return rotations * gaussians.scales.double()[:, None]
 
 
@@ -46,8 +47,8 @@ def test_the_pushed_covariance_is_j_sigma_jt_for_needles_and_pancakes() -> None:
     quats, log_scales = normal(4, n), 4 * normal(3, n, seed=1)
     jacobians = torch.eye(3, dtype=torch.float64)[:, :, None] + 0.2 * normal(3, 3, n, seed=2)
     axes, pushed = stretched_axes(jacobians, quats, log_scales, quats)
-    found = (rotation_matrices(axes) * pushed.exp()).permute(2, 0, 1)
-    roots = (rotation_matrices(quats) * log_scales.exp()).permute(2, 0, 1)
+    found = to_matrices(axes.T) * pushed.T.exp()[:, None]
+    roots = to_matrices(quats.T) * log_scales.T.exp()[:, None]
     expected = jacobians.permute(2, 0, 1) @ roots
     regular = torch.linalg.det(jacobians.permute(2, 0, 1)).abs() > 0.05
     assert whitened_error(found, expected)[regular].max() < 1e-4

@@ -7,8 +7,9 @@ import torch
 from morph_cases import AffineFlow, random_gaussians, same_bits
 from torch import Tensor
 
+from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph import transport
-from splatmorph.morph.covariance import carried_shapes, rotation_matrices
+from splatmorph.morph.covariance import carried_shapes
 from splatmorph.morph.native import shapes
 from splatmorph.morph.transport import COVARIANCES
 
@@ -30,7 +31,7 @@ def path_of_jacobians(strength: float = 0.8) -> Tensor:
 
 
 def roots(quats: Tensor, log_scales: Tensor) -> Tensor:
-    rotations = rotation_matrices(quats.double().flatten(0, -2).T).permute(2, 0, 1)
+    rotations = to_matrices(quats.double().flatten(0, -2))
     return rotations * log_scales.double().flatten(0, -2).exp()[:, None]
 
 

@@ -90,9 +90,9 @@ def test_children_lie_along_the_axis_and_take_everything_else_from_their_parent(
 
 
 def matrices(gaussians: Gaussians) -> torch.Tensor:
-    from splatmorph.morph.covariance import rotation_matrices
+    from splatmorph.geometry.quaternions import to_matrices
 
-    return rotation_matrices(gaussians.quats.T).permute(2, 0, 1)
+    return to_matrices(gaussians.quats)
 
 
 def test_only_what_is_stretched_is_split_and_as_often_as_need_be() -> None:
