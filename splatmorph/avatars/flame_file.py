@@ -52,7 +52,7 @@ def read_flame(path: Path) -> FlameArrays:
     Raises:
         ReadError: missing, refused or damaged (see ``load_pickle``), or another model than FLAME.
     """
-    stored = load_pickle(path, path)
+    stored = load_pickle(path)
     if not isinstance(stored, Mapping):
         raise ReadError(
             f"{path} holds a {type(stored).__name__}, expected FLAME's dictionary: give the "
@@ -110,7 +110,8 @@ def _floats(path: Path, stored: Mapping[Any, Any], key: str, shape: tuple[int, .
     # A sum is finite only if every term is, and costs no mask.
     if not np.isfinite(array.sum(dtype=np.float64)):
         raise ReadError(f"{path} has NaN or infinite values in '{key}': download FLAME again")
-    return np.asarray(array, np.float64)
+    # A copy, since the array may lie in the file's bytes, which can't be written to.
+    return np.array(array, np.float64, order="C")
 
 
 def _parents(path: Path, table: NDArray[Any]) -> tuple[int, ...]:

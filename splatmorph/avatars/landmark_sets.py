@@ -6,6 +6,7 @@ import json
 from importlib import resources
 from pathlib import Path
 
+import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
@@ -17,6 +18,7 @@ from splatmorph.landmarks import Landmarks
 
 LANDMARK_SETS = ("70", "254", "dense")
 
+EMBEDDED = ("faces_idx", "bary_coords")
 EYES = ("right_eye", "left_eye")
 IBUG_POINTS = 68
 
@@ -113,9 +115,12 @@ def _covered(vertices: Tensor, faces: Tensor, gaussians: Gaussians) -> Tensor:
 def _embedded(path: Path, vertices: Tensor, faces: Tensor) -> Landmarks:
     stored = load_object_array(path)
     try:
-        on = torch.from_numpy(as_array(stored["full_lmk_faces_idx"]).reshape(-1).astype("int64"))
-        weights = torch.from_numpy(as_array(stored["full_lmk_bary_coords"]).reshape(-1, 3))
-    except (KeyError, TypeError, ValueError) as error:
+        on, weights = (
+            torch.from_numpy(as_array(stored[f"full_lmk_{key}"]).astype(kind))
+            for key, kind in (("faces_idx", np.int64), ("bary_coords", np.float64))
+        )
+        on, weights = on.reshape(-1), weights.reshape(-1, 3)
+    except (LookupError, TypeError, ValueError, RuntimeError) as error:
         raise ReadError(
             f"{path} has no 'full_lmk_faces_idx' and 'full_lmk_bary_coords', expected the 70 "
             "landmarks that GaussianAvatars ships"
@@ -127,5 +132,5 @@ def _embedded(path: Path, vertices: Tensor, faces: Tensor) -> Landmarks:
             f"{path} has {len(on)} points on faces up to {int(on.max()) if len(on) else 0}, "
             f"expected {count} on the {len(faces)} faces of FLAME"
         )
-    points = (vertices[faces[on]] * weights.double()[:, :, None]).sum(1)
+    points = (vertices[faces[on]] * weights[:, :, None]).sum(1)
     return Landmarks(points, (*(f"ibug_{i}" for i in range(IBUG_POINTS)), *EYES))

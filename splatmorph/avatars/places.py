@@ -36,10 +36,7 @@ class Places:
     @property
     def name(self) -> str:
         """What people call it: the folder that they keep it in."""
-        for part in reversed(self.splats.resolve().parent.parts):
-            if part != "point_cloud" and not re.fullmatch(r"iteration_\d+", part):
-                return part
-        return self.splats.stem
+        return own_folder(self.splats).name or self.splats.stem
 
 
 def find_avatar(path: str | Path, mesh: str | Path | None = None) -> Places:
@@ -79,6 +76,14 @@ def find_avatar(path: str | Path, mesh: str | Path | None = None) -> Places:
     )
 
 
+def own_folder(splats: Path) -> Path:
+    """The folder that is the avatar: above ``point_cloud/iteration_N``, where there are these."""
+    folder = splats.resolve().parent
+    while folder.name == "point_cloud" or re.fullmatch(r"iteration_\d+", folder.name):
+        folder = folder.parent
+    return folder
+
+
 def is_avatar(path: str | Path) -> bool:
     """Whether ``path`` is, or holds, a triangle-local splat. Reads one header at most."""
     splats = _find_splats(Path(path))
@@ -100,7 +105,8 @@ def find_flame(given: str | Path | None, *, near: Path | None = None) -> Path | 
     """The user's FLAME model file, or None.
 
     It is looked for in what was given, in ``SPLATMORPH_FLAME`` (either the file or its folder)
-    and, above ``near``, in a checkout of GaussianAvatars.
+    and, above the avatar of the splats ``near``, in a checkout of GaussianAvatars. Never inside
+    the avatar's own folder: that is a download like any other.
 
     Raises:
         ReadError: something was given, and FLAME is not there.
@@ -161,7 +167,7 @@ def _find_splats(path: Path) -> Path | None:
 
 
 def _checkouts(near: Path | None) -> Iterator[Path]:
-    for folder in near.resolve().parents if near else ():
+    for folder in own_folder(near).parents if near else ():
         yield folder / CHECKOUT
 
 

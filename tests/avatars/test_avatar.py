@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -111,6 +112,21 @@ def test_flame_is_found_by_option_variable_or_checkout(
         == (assets / "generic_model.pkl").resolve().parent / ("generic_model.pkl")
         or summarize(inside).flame_file == assets / "generic_model.pkl"
     )
+
+
+def test_flame_is_not_taken_from_inside_the_avatar(
+    anna: Path, flame_folder: Path, tmp_path: Path
+) -> None:
+    copied = tmp_path / "downloads" / "anna"
+    shutil.copytree(anna, copied)
+    for inside in (copied, copied / "point_cloud", copied / "point_cloud" / "iteration_600000"):
+        assets = inside / "flame_model" / "assets" / "flame"
+        assets.mkdir(parents=True)
+        (assets / "flame2023.pkl").symlink_to(flame_folder / "flame2023.pkl")
+    assert summarize(copied).flame_file is None
+    above = copied.parent / "flame_model"
+    shutil.copytree(copied / "flame_model", above, symlinks=True)
+    assert summarize(copied).flame_file == above / "assets" / "flame" / "flame2023.pkl"
 
 
 def test_missing_flame_says_how_to_get_it(anna: Path, tmp_path: Path) -> None:
