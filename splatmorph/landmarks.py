@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import xml.etree.ElementTree as ElementTree
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +17,9 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
 from splatmorph.io import stem_of
+from splatmorph.io.arrays import read_npy, read_npz
 from splatmorph.io.atomic import atomic_write
+from splatmorph.io.reading import read_json, read_text, reading
 
 FEWEST = {2: 3, 3: 4}
 """Matched pairs below which an affine map of the plane, of space, is not determined."""
@@ -58,10 +61,7 @@ class Landmarks:
         if len(self.names) != len(self.points):
             raise LandmarkError(f"{len(self.names)} names for {len(self.points)} landmarks")
         if len(set(self.names)) < len(self.names):
-            twice = sorted({name for name in self.names if self.names.count(name) > 1})
-            raise LandmarkError(
-                f"landmark names given twice: {_some(twice)}; a name must mean one point"
-            )
+            raise _given_twice(self.names)
 
     def _check_confidence(self, confidence: Tensor) -> None:
         object.__setattr__(self, "confidence", confidence)
@@ -98,16 +98,11 @@ class Landmarks:
                 f"{path} has an extension we don't read landmarks from; we read "
                 f"{', '.join(sorted(_READERS))}"
             )
-        try:
+        with reading(path, "landmark file"):
             parsed = reader(path)
             array = np.asarray(parsed.points, dtype=np.float64)
             names = tuple(parsed.names) if parsed.names else None
             confidence = _in_order(parsed.confidence, names)
-        except OSError as error:
-            raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-        except (ValueError, KeyError, TypeError, ElementTree.ParseError) as error:
-            reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-            raise ReadError(f"{path} holds no landmarks that we can read: {reason}") from error
         if array.ndim != 2 or array.shape[1] != dim or len(array) == 0:
             shape = "x".join(map(str, array.shape)) if array.size else "no points"
             raise ReadError(f"{path} holds {shape}, expected k points of {dim} coordinates each")
@@ -263,7 +258,7 @@ def _in_order(confidence: object, names: tuple[str, ...] | None) -> Tensor | Non
 
 
 def _read_json(path: Path) -> Parsed:
-    points = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_twice)
+    points = read_json(path, "landmark file", pairs=_no_twice)
     confidence = None
     if isinstance(points, dict) and "points" in points:
         points, confidence = points["points"], points.get("confidence")
@@ -273,28 +268,30 @@ def _read_json(path: Path) -> Parsed:
 
 
 def _no_twice(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    names = [name for name, _ in pairs]
-    if len(set(names)) < len(names):
-        twice = sorted({name for name in names if names.count(name) > 1})
-        raise LandmarkError(
-            f"landmark names given twice: {_some(twice)}; a name must mean one point"
-        )
-    return dict(pairs)
+    named = dict(pairs)
+    if len(named) < len(pairs):
+        raise _given_twice([name for name, _ in pairs])
+    return named
+
+
+def _given_twice(names: Iterable[str]) -> LandmarkError:
+    twice = sorted(name for name, times in Counter(names).items() if times > 1)
+    return LandmarkError(f"landmark names given twice: {_some(twice)}; a name must mean one point")
 
 
 def _read_numpy(path: Path) -> Parsed:
-    stored = np.load(path, allow_pickle=False)
-    if isinstance(stored, np.ndarray):
-        return Parsed(stored)
-    with stored:
-        key = "points" if "points" in stored else stored.files[0]
-        return Parsed(
-            stored[key], [str(name) for name in stored["names"]] if "names" in stored else None
-        )
+    if path.suffix.lower() == ".npy":
+        return Parsed(read_npy(path, "landmark file"))
+    stored = read_npz(path, what="landmark file")
+    if not stored:
+        raise ReadError(f"{path} holds no arrays, expected 'points' and, where named, 'names'")
+    points = stored["points"] if "points" in stored else next(iter(stored.values()))
+    names = stored.get("names")
+    return Parsed(points, None if names is None else [str(name) for name in names.ravel()])
 
 
 def _read_table(path: Path) -> Parsed:
-    text = path.read_text(encoding="utf-8-sig")
+    text = read_text(path)
     rows = [
         [cell.strip() for cell in row if cell.strip()]
         for row in csv.reader(line.replace("\t", ",") for line in text.splitlines())
@@ -319,9 +316,12 @@ def _is_number(text: str) -> bool:
 
 
 def _read_picked_points(path: Path) -> Parsed:
+    text = read_text(path)
+    if "<!ENTITY" in text:
+        raise ReadError(f"{path} defines entities of its own, which no picked points need: refused")
     picked = [
         point
-        for point in ElementTree.fromstring(path.read_text(encoding="utf-8")).iter("point")
+        for point in ElementTree.fromstring(text).iter("point")
         if point.get("active", "1") != "0"
     ]
     names = [point.get("name") or str(i) for i, point in enumerate(picked)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import io
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from splatmorph.app.options import Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
+from splatmorph.io.reading import read_text, reading
 from splatmorph.runs.posing import Posing
 from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
 from splatmorph.runs.run import MANIFEST, open_run
@@ -132,15 +134,11 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         ReadError: no table, columns or cells that are missing or unknown, or two runs of one name.
     """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as stream:
-            reader = csv.DictReader(stream, skipinitialspace=True)
-            columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
-            lines = [(reader.line_num, cells) for cells in reader]
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ReadError(f"{path} is no CSV file ({error}): save it as CSV in UTF-8") from error
+    text = read_text(path)
+    with reading(path, "CSV file", remedy="save it as CSV in UTF-8"):
+        reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+        columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
+        lines = [(reader.line_num, cells) for cells in reader]
     known = (*PATHS, NAME)
     repeated = len(set(columns)) < len(columns)
     if repeated or not {"source", "target"} <= set(columns) <= set(known):

@@ -15,6 +15,8 @@ from torch import Tensor
 from splatmorph.app import console
 from splatmorph.app.options import Json, RunPath
 from splatmorph.errors import ReadError
+from splatmorph.io.arrays import read_npz
+from splatmorph.io.reading import read_text, reading
 from splatmorph.metrics import evaluate
 from splatmorph.runs.run import Leg, open_run
 
@@ -78,20 +80,15 @@ def read_pairs(path: Path) -> tuple[Tensor, Tensor]:
 
     Raises ``ReadError`` where the file is missing or holds something else.
     """
-    try:
+    expected = "expected .npz with arrays source and target, or .csv of six columns"
+    with reading(path, "file of correspondences", remedy=expected):
         if path.suffix.lower() == ".npz":
-            with np.load(path, allow_pickle=False) as stored:
-                sides = [np.asarray(stored[side], dtype=np.float64) for side in SIDES]
+            stored = read_npz(path, SIDES)
+            sides = [np.asarray(stored[side], dtype=np.float64) for side in SIDES]
         else:
-            table = np.loadtxt(path, delimiter=",", ndmin=2, comments="#")
+            lines = read_text(path).splitlines()
+            table = np.loadtxt(lines, delimiter=",", ndmin=2, comments="#")
             sides = [table[:, :3], table[:, 3:]]
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except (ValueError, KeyError) as error:
-        raise ReadError(
-            f"{path} holds no correspondences ({error}); expected .npz with arrays source and "
-            "target, or .csv of six columns"
-        ) from error
     shapes = [side.shape for side in sides]
     if shapes[0] != shapes[1] or sides[0].ndim != 2 or sides[0].shape[1] != 3 or not sides[0].size:
         raise ReadError(f"{path} holds {shapes[0]} and {shapes[1]}, expected (m, 3) twice")

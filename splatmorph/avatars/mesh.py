@@ -13,13 +13,20 @@ from torch import Tensor
 from splatmorph.avatars.flame_file import FACES, VERTICES, read_flame
 from splatmorph.avatars.teeth import TEETH_FACES, TEETH_VERTICES, teeth_faces
 from splatmorph.errors import ReadError
+from splatmorph.io.arrays import read_npy
+from splatmorph.io.elements import read_layout
+from splatmorph.io.reading import reading, require_file
+
+MESHES = ("obj", "ply")
+LARGEST = 64 << 20
+"""Bytes of a mesh file; FLAME's has a hundredth."""
 
 
 def read_mesh(path: Path, faces: Path | None, flame: Path | None) -> tuple[Tensor, Tensor]:
     """Vertices (V, 3) float64 and faces (F, 3) of a head of FLAME topology, teeth or not.
 
     Arguments:
-        path: ``.npy`` with the vertices, or a mesh file that trimesh reads (``.obj``, ``.ply``).
+        path: ``.npy`` with the vertices, or a mesh file (``.obj``, ``.ply``).
         faces: ``.npy`` with the faces, for a file without any.
         flame: the FLAME model file, for its faces, where there is no other source.
 
@@ -67,26 +74,28 @@ def _read_npy(path: Path, kinds: str) -> NDArray[Any] | None:
     """The array of a ``.npy`` file of numbers; None where the extension is another."""
     if path.suffix.lower() != ".npy":
         return None
-    try:
-        array: NDArray[Any] = np.load(path, allow_pickle=False)
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except (ValueError, EOFError) as error:
-        raise ReadError(f"{path} is no whole .npy of numbers: {error}") from error
+    array = read_npy(path)
     if array.dtype.kind not in kinds:
         raise ReadError(f"{path} holds {array.dtype}, expected numbers of a mesh")
     return array
 
 
 def _read_with_trimesh(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in MESHES:
+        raise ReadError(f"{path} is no mesh that we read, expected .npy, .obj or .ply")
+    require_file(path)
+    if path.stat().st_size > LARGEST:
+        raise ReadError(f"{path} is larger than {LARGEST >> 20} MB, expected a head's mesh")
+    if kind == "ply":
+        read_layout(path)
     import trimesh
 
-    try:
-        # Unprocessed: merged or reordered vertices would no longer be FLAME's.
-        mesh: Any = trimesh.load(path, process=False, maintain_order=True, force="mesh")
+    with reading(path, "mesh"), path.open("rb") as stream:
+        # Unprocessed: merged or reordered vertices would no longer be FLAME's. From a stream,
+        # so that no file is opened that this one names.
+        mesh: Any = trimesh.load(
+            stream, file_type=kind, process=False, maintain_order=True, force="mesh"
+        )
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except Exception as error:  # trimesh's readers raise whatever a damaged file makes them
-        raise ReadError(f"{path} is no mesh that trimesh can read: {error}") from error
     return vertices, faces if len(faces) else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,6 +16,7 @@ from splatmorph.avatars.flame import Pose
 from splatmorph.avatars.flame_file import EXPRESSIONS, SHAPES, VERTICES
 from splatmorph.avatars.teeth import TEETH_VERTICES
 from splatmorph.errors import OptionError, ReadError
+from splatmorph.io.arrays import read_npz
 
 WIDTHS = {
     "expr": EXPRESSIONS,
@@ -27,6 +27,8 @@ WIDTHS = {
     "translation": 3,
 }
 """Columns of the properties that have a row a frame; expr may have fewer."""
+
+USED = (*WIDTHS, "shape", "static_offset", "dynamic_offset")
 
 JOINT_KEYS = ("rotation", "neck_pose", "jaw_pose", "eyes_pose")
 
@@ -97,19 +99,12 @@ class Track:
 
 
 def _load(path: Path) -> Mapping[str, NDArray[Any]]:
-    try:
-        with path.open("rb") as stream:
-            loaded = np.load(stream, allow_pickle=False)
-            if isinstance(loaded, np.ndarray):
-                raise ReadError(f"{path} holds one array, expected the .npz of a track")
-            stored = {key: loaded[key] for key in loaded.files}
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        reason = str(error).splitlines()[0] if str(error) else "it is cut short"
-        raise ReadError(f"{path} is no whole .npz of arrays: {reason}") from error
+    stored = read_npz(path, what=".npz of a track")
     for key, value in stored.items():
-        if value.dtype.kind not in "iuf":
+        if key in USED and value.dtype.kind not in "iuf":
+            raise ReadError(f"{path} has '{key}' of {value.dtype}, expected numbers")
+        # A sum is finite only if every term is, and costs no mask.
+        if value.dtype.kind != "f" or np.isfinite(value.sum(dtype=np.float64)):
             continue
         bad = ~np.isfinite(value)
         if bad.any():

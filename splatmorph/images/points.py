@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +14,8 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
 from splatmorph.images.canvas import Canvas
+from splatmorph.io.arrays import read_npz
+from splatmorph.io.reading import read_json, read_text, reading
 from splatmorph.landmarks import Landmarks
 
 CONVENTIONS = {
@@ -52,7 +53,7 @@ def read_points(path: str | Path, canvas: Canvas, convention: str | None = None)
     said: str | None
     if path.suffix.lower() in _FIXED:
         rows = _FIXED[path.suffix.lower()](path)
-        said, found = "pixels-xy", Landmarks(torch.from_numpy(rows))
+        said, found = "pixels-xy", _named_by(path, rows)
     else:
         said, found = _said(path), Landmarks.read(path, dim=2)
     points = _from_convention(found.points, canvas, _agreed(path, said, convention))
@@ -72,16 +73,15 @@ def read_pair(
     path = Path(path)
     if path.suffix.lower() != ".json":
         return None
-    stored = _json(path)
+    stored = read_json(path)
     if not isinstance(stored, dict) or not {"points_0", "points_1"} <= stored.keys():
         return None
     sides = []
     for key, canvas in (("points_0", source), ("points_1", target)):
-        try:
-            rows = torch.tensor(stored[key], dtype=torch.float64).reshape(-1, 2)
-        except (ValueError, TypeError, RuntimeError) as error:
-            raise ReadError(f"{path}: {key} holds no rows of two numbers") from error
-        points = _from_convention(rows, canvas, "unit-rc")
+        with reading(path, f"pair of landmarks: '{key}' should hold rows of two numbers"):
+            rows = np.asarray(stored[key], np.float64).reshape(-1, 2)
+        found = _named_by(path, rows)
+        points = _from_convention(found.points, canvas, "unit-rc")
         sides.append(checked(Landmarks(points), canvas, f"{path}, {key}"))
     return sides[0], sides[1]
 
@@ -178,6 +178,13 @@ def _from_convention(points: Tensor, canvas: Canvas, convention: str) -> Tensor:
     return canvas.to_world((points + 1) / 2 * size)
 
 
+def _named_by(path: Path, rows: np.ndarray) -> Landmarks:
+    try:
+        return Landmarks(torch.from_numpy(rows))
+    except LandmarkError as error:
+        raise LandmarkError(f"{path}: {error}") from error
+
+
 def _agreed(path: Path, said: str | None, given: str | None) -> str:
     for convention in (said, given):
         if convention is not None and convention not in CONVENTIONS:
@@ -198,34 +205,32 @@ def _agreed(path: Path, said: str | None, given: str | None) -> str:
 def _said(path: Path) -> str | None:
     suffix = path.suffix.lower()
     if suffix == ".json":
-        stored = _json(path)
+        stored = read_json(path)
         value = stored.get("convention") if isinstance(stored, dict) else None
         return None if value is None else str(value)
     if suffix in (".csv", ".txt"):
-        found = re.search(r"^#\s*convention:\s*(\S+)", _text(path), re.MULTILINE)
+        found = re.search(r"^#[ \t]*convention:[ \t]*(\S+)", read_text(path), re.MULTILINE)
         return found[1] if found else None
     if suffix == ".npz" and path.is_file():
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                return str(stored["convention"]) if "convention" in stored else None
-        except (ValueError, OSError) as error:
-            raise ReadError(f"{path} is no .npz that we can read: {error}") from error
+        stored = read_npz(path, ["convention"], "landmark file")
+        return str(stored["convention"]) if "convention" in stored else None
     return None
 
 
 def _read_tem(path: Path) -> np.ndarray:
-    rows = _text(path).split("\n")
-    count = rows[0].strip()
-    if not count.isdecimal():
-        raise ReadError(f"{path} is no template: expected the number of points, found {count!r}")
-    return _numbers(path, rows[1 : int(count) + 1], int(count))
+    rows = read_text(path).split("\n")
+    with reading(path, "template, whose first line is the number of points"):
+        count = int(rows[0])
+    return _numbers(path, rows[1 : count + 1], count)
 
 
 def _read_pts(path: Path) -> np.ndarray:
-    found = re.search(r"n_points:\s*(\d+).*?\{(.*?)\}", _text(path), re.DOTALL)
-    if not found:
+    head, opened, rest = read_text(path).partition("{")
+    points, closed, _ = rest.partition("}")
+    found = re.search(r"n_points:\s*(\d{1,9})\s", head)
+    if not (found and opened and closed):
         raise ReadError(f"{path} is no .pts file: expected 'n_points: N' and points in braces")
-    rows = [row for row in found[2].split("\n") if row.strip()]
+    rows = [row for row in points.split("\n") if row.strip()]
     # The annotations of 300-W were made in MATLAB, where the first pixel is (1, 1).
     return _numbers(path, rows, int(found[1])) - 1
 
@@ -234,29 +239,11 @@ _FIXED = {".tem": _read_tem, ".pts": _read_pts}
 
 
 def _numbers(path: Path, rows: Sequence[str], count: int) -> np.ndarray:
-    try:
+    with reading(path, "file of points, a line each"):
         values = [[float(cell) for cell in row.split()] for row in rows]
-    except ValueError as error:
-        raise ReadError(f"{path} holds a line that is no point: {error}") from error
     if len(values) != count or any(len(row) != 2 for row in values):
         raise ReadError(
             f"{path} announces {count} points, expected as many lines of two numbers, "
             f"found {sum(len(row) == 2 for row in values)}"
         )
     return np.array(values).reshape(-1, 2)
-
-
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8-sig")
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise ReadError(f"{path} is no text file, expected landmarks") from error
-
-
-def _json(path: Path) -> object:
-    try:
-        return json.loads(_text(path))
-    except ValueError as error:
-        raise ReadError(f"{path} is no JSON: {error}") from error

@@ -11,6 +11,7 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.io.compressed_ply import write_compressed_ply
 from splatmorph.io.dialects import STRANGE_FILES
 from splatmorph.io.ply import ply_layout, read_ply, write_ply
+from splatmorph.io.reading import reading
 from splatmorph.io.splat import read_splat, write_splat
 from splatmorph.io.spz import read_spz, spz_layout, write_spz
 
@@ -53,7 +54,10 @@ def read(path: str | Path) -> Gaussians:
         ReadError: the file is missing, of another format, damaged, or holds values that no
             renderer can show.
     """
-    return _format_of(Path(path)).read(Path(path))
+    path = Path(path)
+    kind = _format_of(path)
+    with reading(path, f"{extension_of(path)} splat"):
+        return kind.read(path)
 
 
 def layout(path: str | Path) -> str:
@@ -62,7 +66,10 @@ def layout(path: str | Path) -> str:
     Raises:
         ReadError: see :func:`read`.
     """
-    return _format_of(Path(path)).layout(Path(path))
+    path = Path(path)
+    kind = _format_of(path)
+    with reading(path, f"{extension_of(path)} splat"):
+        return kind.layout(path)
 
 
 def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:

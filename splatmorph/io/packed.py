@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from splatmorph.errors import ReadError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.checks import check_count, check_drawable
+from splatmorph.io.reading import reading, require_file
 
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
@@ -29,10 +30,9 @@ def read_bytes(path: Path) -> bytes:
     Raises:
         ReadError: it is missing or empty.
     """
-    try:
+    require_file(path)
+    with reading(path, "file"):
         data = path.read_bytes()
-    except OSError as error:
-        raise ReadError(f"can't read {path}: {error.strerror or error}") from error
     if not data:
         raise ReadError(f"{path} is empty, expected a splat: export or download it again")
     return data

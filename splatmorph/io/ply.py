@@ -93,7 +93,7 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
     known = {*REQUIRED, *rest, *NORMALS}
     extras = {name: _extra(value) for name, value in columns.items() if name not in known}
     if any(np.any(columns[name]) for name in NORMALS if name in columns):
-        extras |= {name: _extra(columns[name]) for name in NORMALS}
+        extras |= {name: _extra(columns[name]) for name in NORMALS if name in columns}
     gaussians = Gaussians(
         means=torch.from_numpy(_stack(columns, MEANS)),
         quats=torch.from_numpy(_stack(columns, QUATS)),

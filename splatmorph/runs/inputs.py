@@ -15,6 +15,7 @@ from splatmorph import io
 from splatmorph.avatars import Avatar, is_avatar, load_avatar
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.io.reading import require_file
 from splatmorph.landmarks import Landmarks
 
 
@@ -64,6 +65,8 @@ def load_splat(
     path = Path(path)
     if not path.exists():
         raise ReadError(f"{path} does not exist: check the spelling and the folder")
+    if not path.is_dir():
+        require_file(path)
     if not is_avatar(path):
         return Input(path, io.read(path), None, (path,))
     avatar = load_avatar(

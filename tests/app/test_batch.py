@@ -188,4 +188,4 @@ def test_tables_that_are_wrong(
 
 def test_files_that_are_no_tables(splats: Path, batch: Batch) -> None:
     assert "No such file" in batch(splats / "no.csv")[2]
-    assert "no CSV file" in batch(splats / "a.ply")[2]
+    assert "is no text" in batch(splats / "a.ply")[2]

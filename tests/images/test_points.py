@@ -106,13 +106,13 @@ def test_points_outside_the_picture_are_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "complaint"),
     [
-        ("a.tem", "three\n0 0\n", "no template"),
+        ("a.tem", "three\n0 0\n", "no whole template"),
         ("a.tem", "3\n0 0\n1 1\n", "announces 3 points"),
-        ("a.tem", "2\n0 0\n1 x\n", "a line that is no point"),
+        ("a.tem", "2\n0 0\n1 x\n", "could not convert string to float: 'x'"),
         ("a.pts", "0 0\n1 1\n", r"no \.pts file"),
         ("a.pts", "n_points: 2\n{\n0 0\n}\n", "announces 2 points"),
-        ("a.json", "{", "no JSON"),
-        ("a.json", '{"points_0": [[0, 1]], "points_1": "none"}', "points_1 holds no rows"),
+        ("a.json", "{", "no whole JSON file"),
+        ("a.json", '{"points_0": [[0, 1]], "points_1": "none"}', "'points_1' should hold rows"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path: Path, name: str, text: str, complaint: str) -> None:
