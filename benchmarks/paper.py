@@ -15,16 +15,15 @@ from collections.abc import Callable, Iterator
 from itertools import product
 from pathlib import Path
 from typing import Any
-from unittest import mock
 
 import matplotlib as mpl
 import torch
 import warping
 from pairs import Pair, frll, head, nersemble
 
+from renderer.cpp import plain_twins
 from splatmorph.fitting import FitConfig, FitReport, fit
 from splatmorph.flows import Conjugate, Flow, Node, make_flow
-from splatmorph.flows.network import Network
 from splatmorph.flows.node import runge_kutta
 
 mpl.use("Agg")
@@ -126,7 +125,7 @@ def thin_plate_table(pair: Pair, quick: bool) -> Iterator[str]:
 def by_autograd(flow: Conjugate, x: torch.Tensor) -> torch.Tensor:
     """∂²Φ/∂x² at t = 1/2 by reverse differentiation, twice, of plain torch."""
     x = x.clone().requires_grad_(True)
-    with mock.patch.object(Network, "takes_natively", return_value=False):
+    with plain_twins():
         y = flow.unit_forward(x, 0.5)
     rows = []
     for i in range(flow.dim):

@@ -34,8 +34,11 @@ from renderer import (
     portable,
     rasterize,
     rasterize_reference,
+    views,
     write_video,
 )
+from renderer.cpp import cores
+from renderer.views import View
 
 Scene = dict[str, NDArray[np.float32]]
 AXES = np.array([0.38, 0.5, 0.43])
@@ -89,9 +92,8 @@ def measure(*draws: Callable[[], object], repeats: int = 15) -> list[tuple[float
     return list(zip(*(1e3 * np.median(ms[2:], axis=0) for ms in (wall, cpu)), strict=True))
 
 
-def view_of(camera: Camera) -> kernels.View:
-    size = (camera.width, camera.height)
-    return portable.view_of(camera.viewmat, camera.K, size, (0.01, 1e10))
+def view_of(camera: Camera) -> View:
+    return views.view_of(camera.viewmat, camera.K, (camera.width, camera.height), (0.01, 1e10))
 
 
 def nanoseconds_a_pair() -> float:
@@ -251,8 +253,8 @@ def main() -> None:
     parser.add_argument("--heads", type=Path, nargs="*")
     options = parser.parse_args()
     started = time.perf_counter()
-    native.is_available()
-    print(f"kernels ready in {time.perf_counter() - started:.2f} s, {native.cores()} cores")
+    native.PROGRAM.available()
+    print(f"kernels ready in {time.perf_counter() - started:.2f} s, {cores()} cores")
     twin()
     if options.heads:
         turntable(options.heads)

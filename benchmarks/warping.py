@@ -16,9 +16,9 @@ from typing import Any
 
 import torch
 
+from renderer.cpp import plain_twins
 from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import Node, make_flow
-from splatmorph.flows import node as node_module
 from splatmorph.flows.node import runge_kutta
 from splatmorph.landmarks import Landmarks
 
@@ -70,7 +70,6 @@ def table(splats: int, frames: int) -> Iterator[str]:
     generator = torch.Generator().manual_seed(1)
     x = torch.rand(splats, 3, generator=generator) * 2.2 - 1.1
     times = torch.linspace(0, 1, frames).tolist()
-    native_from = node_module.NATIVE_FROM
     yield (
         f"| {splats:,} splats, {torch.get_num_threads()} threads | steps "
         f"| {frames} frames, s | one frame, s | plain torch, one frame, s | error |"
@@ -84,9 +83,8 @@ def table(splats: int, frames: int) -> Iterator[str]:
         one = best(lambda f=flow: f(x, 1.0))
         cells = ["-", f"{many:.2f}", f"{one:.3f}", "-", "-"]
         if isinstance(flow, Node):
-            node_module.NATIVE_FROM = len(x) + 1
-            cells[3] = f"{best(lambda f=flow: f(x, 1.0)):.2f}"
-            node_module.NATIVE_FROM = native_from
+            with plain_twins():
+                cells[3] = f"{best(lambda f=flow: f(x, 1.0)):.2f}"
             cells[0], cells[4] = str(flow.steps), f"{dense_error(flow, x, times):.1e}"
         yield f"| {name} | {' | '.join(cells)} |"
 

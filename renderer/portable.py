@@ -14,8 +14,9 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from renderer import kernels, reference
+from renderer import kernels
 from renderer.errors import ArgumentError
+from renderer.views import View
 
 Array = NDArray[Any]
 
@@ -33,6 +34,11 @@ SPLAT_TYPES = {
     "log_opacity": float,
     "color": wp.vec4,
 }
+VIEW_TYPES = {
+    "viewmat": wp.mat44,
+    "position": wp.vec3,
+    **dict.fromkeys(("focal", "principal", "slope_min", "slope_max"), wp.vec2),
+}
 LIST_BUDGET = 1 << 25
 """Entries of the tile lists at a time: 16 bytes each with the sort's scratch."""
 
@@ -46,30 +52,18 @@ def check_device(device: str) -> None:
         raise ArgumentError(f"device is {device!r}, expected one of {names} here") from error
 
 
-def view_of(
-    viewmat: Array, K: Array, size: tuple[int, int], depths: tuple[float, float]
-) -> kernels.View:
-    """The kernels' view of a camera; ``depths`` are near and far."""
-    width, height = size
-    focal, principal = np.diag(K)[:2], K[:2, 2]
-    margin = reference.FOV_MARGIN * np.array(size) / (2 * focal)
-    view = kernels.View()
-    view.viewmat = wp.mat44(*viewmat.ravel().tolist())
-    view.position = wp.vec3(*(-np.linalg.inv(viewmat[:3, :3]) @ viewmat[:3, 3]).tolist())
-    view.focal = wp.vec2(*focal.tolist())
-    view.principal = wp.vec2(*principal.tolist())
-    view.slope_min = wp.vec2(*(-principal / focal - margin).tolist())
-    view.slope_max = wp.vec2(*((np.array(size) - principal) / focal + margin).tolist())
-    view.near, view.far = depths
-    view.width, view.height = size
-    view.columns, view.rows = -(-width // kernels.TILE), -(-height // kernels.TILE)
-    return view
+def _warp_view(view: View) -> kernels.View:
+    made = kernels.View()
+    for name, value in view._asdict().items():
+        setattr(made, name, VIEW_TYPES[name](*value) if name in VIEW_TYPES else value)
+    made.columns, made.rows = -(-view.width // kernels.TILE), -(-view.height // kernels.TILE)
+    return made
 
 
 def render(
     scene: Mapping[str, Array],
     degree: int,
-    views: Sequence[kernels.View],
+    views: Sequence[View],
     background: Array,
     device: str,
 ) -> tuple[Array, Array, Array]:
@@ -83,7 +77,7 @@ def render(
     alpha = wp.empty(shape, dtype=float, device=device)
     depth = wp.empty(shape, dtype=float, device=device)
     for i, view in enumerate(views):
-        sums, transmittance = _blended(arrays, degree, view, device)
+        sums, transmittance = _blended(arrays, degree, _warp_view(view), device)
         inputs = [sums, transmittance, wp.vec3(*background.tolist()), rgb[i], alpha[i], depth[i]]
         wp.launch(kernels.finish, shape[1:], inputs, device=device)
     return rgb.numpy(), alpha.numpy(), depth.numpy()

@@ -10,7 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from renderer import native
 from renderer.errors import ArgumentError
+from renderer.views import view_of
 
 MAX_SIDE = 16384
 """Pixels; tile coordinates stay well inside the kernels' integers."""
@@ -78,14 +80,14 @@ def rasterize(
         raise ArgumentError(f"threads is {threads}, expected at least 1")
     viewmats, Ks = _checked_cameras(viewmat, K)
 
-    from renderer import native, portable
-
-    portable.check_device(device)
     size, depths = (int(width), int(height)), (float(near), float(far))
-    views = [portable.view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
-    if device == "cpu" and native.is_available():
+    views = [view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
+    if device == "cpu" and native.PROGRAM.available():
         pictures = native.render(scene, degree, views, behind, threads)
     else:
+        from renderer import portable
+
+        portable.check_device(device)
         pictures = portable.render(scene, degree, views, behind, device)
     single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
     rgb, alpha, depth = (_like(means, picture[0] if single else picture) for picture in pictures)

@@ -1,13 +1,13 @@
-"""The rasterizer for CPUs: C++ with vector types, compiled by Warp's own compiler.
+"""The rasterizer for CPUs, in C++ with vector types.
 
-The headers beside this file are the body of one function, in the order of ``kernel.PIECES``.
-A launch runs on one thread, so a frame is one launch on each thread of a pool, and the
-launches share the frame's tasks (``frame.h``). The memory of a frame is kept for the next one.
+The headers beside this file are the body of one function, in the order of ``layout.HEADERS``.
+All threads run it at once and share the frame's tasks (``frame.h``). The memory of a frame is
+kept for the next one.
 """
 
 from __future__ import annotations
 
-import functools
+import ctypes
 import math
 import os
 import threading
@@ -15,75 +15,51 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-import warp as wp
 from numpy.typing import NDArray
 
-from renderer.kernels import View
-from renderer.native import kernel
-from renderer.threads import together
+from renderer.cpp import cores
+from renderer.native import layout
+from renderer.native.layout import PARTS, PROGRAM, STAGES
+from renderer.views import View
+
+__all__ = ["PROGRAM", "STAGES", "render", "stage_shares"]
 
 Array = NDArray[Any]
 
 CACHE_LINE = 64
-SPLAT_FLOATS = 16
-TILE_FLOATS = 5 * kernel.COLUMN * kernel.ROWS
-STATE_WORDS = 64
-TICKS_AT = 7
-"""The word of the state where the time of each stage is counted; see ``memory.h``."""
-STAGES = ("project", "count digits", "sort", "list and colour", "fill", "blend")
+STATE_BYTES = ctypes.sizeof(layout.State)
 LIST_ENTRIES = 1 << 22
 """Entries of the tile lists at a time, 16 bytes each with their sorted copy."""
 
-_drawing = threading.Lock()
-
-
-@functools.cache
-def is_available() -> bool:
-    """Whether Warp's compiler knows the vector types and built-ins the headers use."""
-    try:
-        wp.load_module(kernel, device="cpu")
-    except Exception:
-        return False
-    return bool(kernel.draw.module.execs)
-
-
-def cores() -> int:
-    """The cores this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
-
 
 class _Memory:
-    """The arrays of a frame, grown as needed and kept."""
+    """The arrays of a frame, grown as needed and kept; one frame at a time draws with them."""
 
     def __init__(self) -> None:
-        self.arrays: dict[str, wp.array] = {}
+        self.drawing = threading.Lock()
+        self.state = layout.State.from_buffer(_aligned((STATE_BYTES,), np.uint8).data)
+        self.arrays: dict[str, Array] = {}
 
-    def fit(self, n: int, tiles: int) -> kernel.Memory:
-        part_entries = max(LIST_ENTRIES // kernel.PARTS, tiles)
+    def fit(self, n: int, tiles: int) -> dict[str, int]:
+        """Make room for n splats on so many tiles: arguments by name."""
+        list_size = max(LIST_ENTRIES // PARTS, tiles)
         sizes = {
-            "state": STATE_WORDS,
-            "splats": n * SPLAT_FLOATS,
-            "keys": 2 * n,
-            "ids": 2 * n,
-            "digits": kernel.PARTS << kernel.RADIX_BITS,
-            "counts": kernel.PARTS * tiles,
-            "ends": tiles,
-            "lists": kernel.PARTS * part_entries,
-            "entries": kernel.PARTS * part_entries,
-            "kept": tiles * TILE_FLOATS,
-            "open_rows": 3 * tiles,
+            "splats": n * layout.SPLAT_BYTES,
+            "keys": 2 * n * 4,
+            "ids": 2 * n * 4,
+            "digits": PARTS * 4 << layout.RADIX_BITS,
+            "counts": PARTS * tiles * 4,
+            "ends": tiles * 4,
+            "lists": PARTS * list_size * layout.ENTRY_BYTES,
+            "entries": PARTS * list_size * layout.ENTRY_BYTES,
+            "kept": tiles * layout.ROWS * layout.ROW_BYTES,
+            "open_rows": tiles * layout.TILE_BYTES,
         }
-        memory = kernel.Memory()
         for name, size in sizes.items():
-            array = self.arrays.get(name)
-            if array is None or len(array) < size:
-                dtype = kernel.MEMORY_TYPES[name]
-                numbers = _aligned((size,), wp.dtype_to_numpy(dtype))
-                array = self.arrays[name] = wp.array(numbers, dtype=dtype, copy=False, device="cpu")
-            setattr(memory, name, array)
-        return memory
+            if name not in self.arrays or len(self.arrays[name]) < size:
+                self.arrays[name] = _aligned((size,), np.uint8)
+        addresses = {name: self.arrays[name].ctypes.data for name in sizes}
+        return {**addresses, "list_size": list_size}
 
 
 def _aligned(shape: tuple[int, ...], dtype: Any) -> Array:
@@ -97,9 +73,19 @@ def _aligned(shape: tuple[int, ...], dtype: Any) -> Array:
 _memory = _Memory()
 
 
+def _forget() -> None:
+    """A child doesn't wait for a frame that a thread of its parent was drawing."""
+    global _memory
+    _memory = _Memory()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
+
+
 def stage_shares() -> dict[str, float]:
     """The share of each stage in the processor time of the last frame."""
-    ticks = _memory.arrays["state"].numpy()[TICKS_AT : TICKS_AT + len(STAGES)].astype(float)
+    ticks = np.array(_memory.state.ticks, float)
     return dict(zip(STAGES, ticks / max(ticks.sum(), 1), strict=True))
 
 
@@ -110,28 +96,33 @@ def render(
     background: Array,
     threads: int | None = None,
 ) -> tuple[Array, Array, Array]:
-    """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size."""
+    """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size.
+
+    ``scene`` holds the arrays of ``rasterize`` by name, float32 and in C order.
+    """
     n, coefficients = scene["sh"].shape[:2]
-    arrays = [_flat(array) for array in scene.values()]
     height, width = views[0].height, views[0].width
     shape = (len(views), height, width)
-    rgb, alpha, depth = (_aligned((*shape, *tail), np.float32) for tail in ((3,), (), ()))
-    tiles = -(-width // kernel.COLUMN) * -(-height // kernel.ROWS)
-    with _drawing:
-        memory = _memory.fit(n, tiles)
+    made = {"rgb": (*shape, 3), "alpha": shape, "depth": shape}
+    pictures = {name: _aligned(size, np.float32) for name, size in made.items()}
+    tiles = -(-width // layout.COLUMN) * -(-height // layout.ROWS)
+    memory = _memory
+    with memory.drawing:
+        arguments = layout.Arguments(
+            **{name: array.ctypes.data for name, array in scene.items()},
+            **memory.fit(n, tiles),
+            state=ctypes.addressof(memory.state),
+            background=tuple(background),
+            n=n,
+            coefficients=coefficients,
+            degree=degree,
+        )
         for i, view in enumerate(views):
-            outputs = [_flat(picture[i]) for picture in (rgb, alpha, depth)]
-            inputs = [n, coefficients, degree, view, wp.vec3(*background.tolist()), memory]
-            _draw([*arrays, *inputs, *outputs], memory, threads or cores())
-    return rgb, alpha, depth
-
-
-def _flat(array: Array) -> wp.array:
-    return wp.array(array.reshape(-1), dtype=float, copy=False, device="cpu")
-
-
-def _draw(inputs: Sequence[Any], memory: kernel.Memory, threads: int) -> None:
-    memory.state.numpy()[:] = 0
-    memory.state.numpy()[0] = kernel.PARTS << 28
-    frame = wp.launch(kernel.draw, 1, inputs, device="cpu", record_cmd=True)
-    together(lambda _: frame.launch(), threads)
+            arguments.view = layout.View(*view)
+            for name, picture in pictures.items():
+                setattr(arguments, name, picture[i].ctypes.data)
+            # The first phase, projection, with a task a part; see the ticket in ``frame.h``.
+            ctypes.memset(arguments.state, 0, STATE_BYTES)
+            memory.state.ticket = PARTS << 28
+            PROGRAM.run(arguments, threads or cores())
+    return pictures["rgb"], pictures["alpha"], pictures["depth"]

@@ -27,8 +27,8 @@ auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
         float pixels[5 * LANES];
         float* out[3] = {pixels, pixels + 3 * LANES, pixels + 4 * LANES};
         if (wide >= LANES) out[0] = rgb + 3 * at, out[1] = alphas + at, out[2] = depths + at;
-        interleave(rows[r].red + clear * background[0], rows[r].green + clear * background[1],
-                   rows[r].blue + clear * background[2], out[0]);
+        interleave(rows[r].red + clear * given.background[0], rows[r].green + clear * given.background[1],
+                   rows[r].blue + clear * given.background[2], out[0]);
         store(out[1], alpha);
         store(out[2], depth);
         for (int i = 0; i < wide && wide < LANES; ++i) {

@@ -1,5 +1,14 @@
-// The arrays of a frame, by name.
+// What a frame is given, and its arrays by name.
 enum Phase { PROJECT, COUNT, SCATTER, BIN, FILL, BLEND, DONE };
+
+// A camera; see View in renderer/views.py.
+struct View {
+    float viewmat[4][4], position[3];
+    float focal[2], principal[2];  // px
+    float slope_min[2], slope_max[2];
+    float near, far;
+    int width, height;
+};
 
 struct State {
     Word ticket;
@@ -34,20 +43,39 @@ struct Row {
     Floats red, green, blue, depth, clear;
 };
 
-const float *means = means_in.data, *quats = quats_in.data, *scales = scales_in.data;
-const float *opacities = opacities_in.data, *sh = sh_in.data;
-float *rgb = rgb_out.data, *alphas = alpha_out.data, *depths = depth_out.data;
+struct Arguments {
+    const float *means, *quats, *scales, *opacities, *sh;  // n rows
+    float *rgb, *alpha, *depth;                            // height × width
+    State* state;
+    Splat* splats;                        // n
+    unsigned* keys;                       // two of n, as
+    int* ids;                             // are these
+    int *digits, *counts, *ends;          // parts × radix, parts × tiles, tiles
+    Word *lists, *entries;                // parts × list_size, and as many in their order
+    Row* kept;                            // tiles × ROWS
+    Tile* open_rows;                      // tiles
+    View view;
+    float background[3];
+    int n, coefficients, degree, list_size;
+};
 
-State& state = *(State*)memory.state.data;
-Splat* splats = (Splat*)memory.splats.data;
-unsigned* keys[2] = {(unsigned*)memory.keys.data, (unsigned*)memory.keys.data + n};
-int* ids[2] = {memory.ids.data, memory.ids.data + n};
-int *digits = memory.digits.data, *counts = memory.counts.data, *ends = memory.ends.data;
-Word *lists = (Word*)memory.lists.data, *entries = (Word*)memory.entries.data;
-Row* kept = (Row*)memory.kept.data;
-Tile* open_rows = (Tile*)memory.open_rows.data;
+const Arguments& given = *(const Arguments*)arguments;
+const View view = given.view;
+const int n = given.n, coefficients = given.coefficients, degree = given.degree;
+const float *means = given.means, *quats = given.quats, *scales = given.scales;
+const float *opacities = given.opacities, *sh = given.sh;
+float *rgb = given.rgb, *alphas = given.alpha, *depths = given.depth;
 
-const int list_size = (int)(memory.lists.shape[0] / PARTS);
+State& state = *given.state;
+Splat* splats = given.splats;
+unsigned* keys[2] = {given.keys, given.keys + n};
+int* ids[2] = {given.ids, given.ids + n};
+int *digits = given.digits, *counts = given.counts, *ends = given.ends;
+Word *lists = given.lists, *entries = given.entries;
+Row* kept = given.kept;
+Tile* open_rows = given.open_rows;
+
+const int list_size = given.list_size;
 const int columns = (view.width + LANES - 1) / LANES;
 const int tiles = columns * ((view.height + ROWS - 1) / ROWS);
 // A multiple of the vector, so that only the last block is cut.

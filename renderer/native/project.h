@@ -9,7 +9,7 @@ auto block = [&](const float* rows, int stride, int i, float* spare) -> const fl
 // EWA projection of the splats of one part; the visible ones are listed with their depth.
 auto project_part = [&](int part) {
     #pragma clang fp contract(fast)
-    const auto& V = view.viewmat.data;
+    const auto& V = view.viewmat;
     const int begin = part * part_size, end = begin + part_size < n ? begin + part_size : n;
     unsigned* key = keys[0] + begin;
     int* id = ids[0] + begin;

@@ -54,6 +54,7 @@ def launch(
 ) -> None:
     """Morph one 3D Gaussian splat into another, by flows."""
     console.manner.quiet, console.manner.verbose = quiet, verbose
+    console.listen()
     app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -79,6 +80,22 @@ def spoken(message: object) -> str:
         lambda found: SHORT.get(found[1], "--" + found[1].replace("_", "-")),
         str(message),
     )
+
+
+class _Listener(logging.Handler):
+    """The renderer's log, shown as our own lines."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        (note if record.name == "renderer.notices" else warn)(record.getMessage())
+
+
+def listen() -> None:
+    """Show what the renderer logs."""
+    log = logging.getLogger("renderer")
+    if not any(isinstance(handler, _Listener) for handler in log.handlers):
+        log.addHandler(_Listener())
+        log.setLevel(logging.INFO)
+        log.propagate = False
 
 
 def emit_json(value: Mapping[str, object]) -> None:

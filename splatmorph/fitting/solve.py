@@ -10,6 +10,7 @@ from torch import Tensor
 
 from splatmorph.fitting.report import FitConfig
 from splatmorph.flows.displacement import Displacement
+from splatmorph.flows.native import path
 from splatmorph.flows.node import runge_kutta
 from splatmorph.flows.spline import SplineField, SplineInterpolant
 from splatmorph.metrics import MANY_LANDMARKS
@@ -29,14 +30,14 @@ Record = Callable[[int, int, float], None]
 def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) -> Tensor:
     """Φ(q, -1/2) - Φ(p, 1/2), (k, dim): zero where an autonomous flow meets its landmarks."""
     steps = round(0.5 / TRAINING_STEP)
-    if len(p) >= MANY_LANDMARKS and isinstance(velocity, SplineField) and p.device.type == "cpu":
-        from splatmorph.flows.native import path
-
-        forward, backward = (
-            path.knots(velocity, x.float(), h, steps, jacobian=False, every=False)[0][0]
-            for x, h in ((p, TRAINING_STEP), (q, -TRAINING_STEP))
-        )
-        return (backward - forward).to(p)
+    if len(p) >= MANY_LANDMARKS and isinstance(velocity, SplineField):
+        single = p.float(), q.float()
+        if all(path.takes(velocity, x, jacobian=False) for x in single):
+            forward, backward = (
+                path.knots(velocity, x, h, steps, jacobian=False, every=False)[0][0]
+                for x, h in zip(single, (TRAINING_STEP, -TRAINING_STEP), strict=True)
+            )
+            return (backward - forward).to(p)
     half = torch.full((len(p), 1), 0.5, dtype=p.dtype, device=p.device)
     ends = runge_kutta(velocity, torch.cat([p, q]), torch.cat([half, -half]), steps)
     return ends[len(p) :] - ends[: len(p)]

@@ -9,6 +9,7 @@ from torch import Tensor, nn
 
 from splatmorph.flows.base import Flow
 from splatmorph.flows.jets import Activation, Jet
+from splatmorph.flows.native import jet as native
 from splatmorph.flows.network import Network
 
 LARGEST_LOG_SCALE = 0.3
@@ -195,11 +196,10 @@ class Conjugate(Flow):
 
     def _through(self, jet: Jet, steps: list[tuple[Coupling, Tensor | None]], bound: float) -> Jet:
         """``jet`` turned and pushed through each coupling, or with a negative bound its inverse."""
-        if self.chain[0].network.takes_natively(jet):
-            from splatmorph.flows.native.jet import Step, push_couplings
-
-            return push_couplings(
-                jet, [Step(each.network, each.moved, bound, turn) for each, turn in steps]
+        if native.takes("coupling", jet, self.chain[0].network.layers()):
+            return native.push_couplings(
+                jet,
+                [native.Step(one.network.layers(), one.moved, bound, turn) for one, turn in steps],
             )
         for coupling, turn in steps:
             if turn is not None:

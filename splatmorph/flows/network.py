@@ -11,12 +11,9 @@ from torch.nn.functional import linear
 
 from splatmorph.errors import OptionError
 from splatmorph.flows.jets import Activation, Jet
+from splatmorph.flows.native import jet as native
 
 ACTIVATIONS = ("sine", "sigmoid")
-NATIVE_WIDTHS = range(32, 257, 32)
-"""Of networks that ``native/jet.h`` takes."""
-MOST_NATIVE_INPUTS = 8
-MOST_NATIVE_CHANNELS = 10
 
 
 class Network(nn.Module):
@@ -79,10 +76,9 @@ class Network(nn.Module):
         inputs = jet.value.shape[1]
         if len(jet.pairs) > inputs * (inputs + 1) // 2:
             return jet.then(self.push(Jet.seed(jet.value)))
-        if self.takes_natively(jet):
-            from splatmorph.flows.native.jet import push_network
-
-            return push_network(jet, self)
+        layers = self.layers()
+        if native.takes("network", jet, layers):
+            return native.push_network(jet, layers)
         x = jet.value
         for weight, bias, omega in zip(self.weights, self.biases, self.omegas, strict=False):
             jet = jet.linear(weight.to(x), bias.to(x)).activate(
@@ -90,20 +86,9 @@ class Network(nn.Module):
             )
         return jet.linear(self.weights[-1].to(x), self.biases[-1].to(x))
 
-    def takes_natively(self, jet: Jet) -> bool:
-        """Whether ``native/jet.py`` can push a jet through this network."""
-        width, inputs = self.weights[0].shape
-        return (
-            self.activation == "sine"
-            and len(self.weights) == 3
-            and width in NATIVE_WIDTHS
-            and max(inputs, jet.value.shape[1]) <= MOST_NATIVE_INPUTS
-            and 1 + len(jet.first) + len(jet.pairs) <= MOST_NATIVE_CHANNELS
-            and all(
-                tensor.dtype == torch.float32 and tensor.device.type == "cpu"
-                for tensor in (jet.value, self.weights[0])
-            )
-        )
+    def layers(self) -> native.Layers:
+        """What the C++ needs to know of it."""
+        return native.Layers(self.activation, [*self.weights], [*self.biases], self.omegas)
 
 
 def _sine(omega: float) -> Activation:

@@ -10,13 +10,12 @@ import torch
 from torch import Tensor
 
 from splatmorph.flows.base import Flow, as_column
+from splatmorph.flows.native import path
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
 Field = SplineField | SirenField
 
-NATIVE_FROM = 2000
-"""Points from which the C++ kernels are worth loading."""
 DEFAULT_STEPS = 16
 """Runge-Kutta steps a unit of t, where ``fit`` has not chosen better."""
 
@@ -59,9 +58,7 @@ class Node(Flow):
         if not column.numel():
             return u
         count = math.ceil(float(column.abs().max()) * self.steps - 1e-9)
-        if count and column.ndim == 0 and self._natively(u):
-            from splatmorph.flows.native import path
-
+        if count and column.ndim == 0 and path.takes(self.field, u, jacobian=False):
             h = float(column) / count
             return path.knots(self.field, u, h, count, jacobian=False, every=False)[0][0]
         return runge_kutta(self.field, u, column, count)
@@ -83,21 +80,9 @@ class Node(Flow):
             return out, None
         return out[..., : self.dim], out[..., self.dim :].unflatten(2, (self.dim, self.dim))
 
-    def _natively(self, u: Tensor) -> bool:
-        """Whether the C++ kernels take these points: worth loading, and no gradient asked for."""
-        if len(u) < NATIVE_FROM or u.dtype != torch.float32 or u.device.type != "cpu":
-            return False
-        if u.requires_grad or any(p.requires_grad for p in self.field.parameters()):
-            return False
-        from splatmorph.flows.native import path
-
-        return path.takes(self.field)
-
     def _knots(self, u: Tensor, sign: float, count: int, jacobian: bool) -> tuple[Tensor, Tensor]:
         """States and rates at the knots 0, 1/steps, … count/steps, forwards or backwards."""
-        if self._natively(u):
-            from splatmorph.flows.native import path
-
+        if path.takes(self.field, u, jacobian=jacobian):
             return path.knots(self.field, u, sign / self.steps, count, jacobian=jacobian)
         rates = self._rates(jacobian)
         states = [_joint(u, jacobian)]

@@ -17,15 +17,13 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes
+from splatmorph.morph.native import shapes
 
 KNOTS = 8
 """Moments a unit of t at which shapes are worked out; in between they are interpolated."""
 
 BLOCK = 1 << 15
 """Splats whose Jacobians are held at a time."""
-
-NATIVE_FROM = 2000
-"""Splats from which the C++ kernel is worth loading."""
 
 Frames = Callable[[int], Gaussians]
 Transport = Callable[[Gaussians, Flow, Sequence[float]], Frames]
@@ -56,9 +54,9 @@ def move_shapes(
     }
 
     def frame(k: int) -> Gaussians:
-        shapes = _interpolated(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
-        turns = shapes.pop("turns", None)
-        turned = replace(moved(k), **shapes)
+        shape = _interpolated(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
+        turns = shape.pop("turns", None)
+        turned = replace(moved(k), **shape)
         if turns is None:
             return turned
         rotations = to_matrices(turns)
@@ -90,12 +88,12 @@ def _shapes_along(
     for name, path in paths.items():
         path[0] = starts[name]
     for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
-        carried = _carrier(quats, jacobians)(
-            quats[block], log_scales[block], jacobians, stretch=stretch
-        )
-        for name, shapes in zip(starts, carried, strict=True):
+        own = quats[block], log_scales[block], jacobians
+        takes = shapes.takes(quats, jacobians, stretch=stretch)
+        carried = (shapes.carried_shapes if takes else carried_shapes)(*own, stretch=stretch)
+        for name, moments in zip(starts, carried, strict=True):
             if name in paths:
-                paths[name][1:, block] = shapes
+                paths[name][1:, block] = moments
     return paths
 
 
@@ -106,15 +104,6 @@ def jacobian_blocks(
     for begin in range(0, len(points), BLOCK):
         block = slice(begin, begin + BLOCK)
         yield block, flow.trajectory_jacobian(points[block], times)[1]
-
-
-def _carrier(quats: Tensor, jacobians: Tensor) -> Callable[..., tuple[Tensor, Tensor, Tensor]]:
-    """``carried_shapes`` in C++ where that is worth loading, or its plain twin."""
-    if len(quats) < NATIVE_FROM or quats.device.type != "cpu" or quats.dtype != jacobians.dtype:
-        return carried_shapes
-    from splatmorph.morph.native import shapes
-
-    return shapes.carried_shapes if quats.dtype in shapes.STORED else carried_shapes
 
 
 def _interpolated(paths: Mapping[str, Tensor], place: float) -> dict[str, Any]:

@@ -8,8 +8,10 @@ import pytest
 import torch
 from torch import Tensor
 
+from renderer.cpp import plain_twins
 from splatmorph.flows.conjugate import Conjugate
 from splatmorph.flows.jets import Jet
+from splatmorph.flows.native.jet import takes
 from splatmorph.flows.network import Network
 
 FEW, MANY = 33, 700
@@ -46,11 +48,9 @@ def assert_native_is_plain(
     push: Callable[[Jet], Jet],
     jet: Jet,
     module: torch.nn.Module,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     native = answers(push, jet, module)
-    with monkeypatch.context() as patch:
-        patch.setattr(Network, "takes_natively", lambda *_: False)
+    with plain_twins():
         plain = answers(push, jet, module)
     for ours, theirs in zip(native, plain, strict=True):
         assert ours.shape == theirs.shape
@@ -68,29 +68,29 @@ JETS: dict[str, tuple[int, tuple[tuple[int, int], ...]]] = {
 
 @pytest.mark.parametrize("count", [FEW, MANY])
 @pytest.mark.parametrize("kind", JETS)
-def test_network(kind: str, count: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_network(kind: str, count: int) -> None:
     network = Network([4, 96, 96, 3], first_omega=10.0, omega=4.0)
     network.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(4, *JETS[kind], count)
-    assert network.takes_natively(jet)
-    assert_native_is_plain(network.push, jet, network, monkeypatch)
+    assert takes("network", jet, network.layers())
+    assert_native_is_plain(network.push, jet, network)
 
 
 @pytest.mark.parametrize("kind", JETS)
-def test_couplings_and_their_inverses(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_couplings_and_their_inverses(kind: str) -> None:
     flow = Conjugate(3, layers=4)
     flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(3, *JETS[kind], FEW)
     for push in (flow._push, flow._push_inverse):
-        assert_native_is_plain(push, jet, flow.couplings, monkeypatch)
+        assert_native_is_plain(push, jet, flow.couplings)
 
 
-def test_couplings_of_the_plane(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_couplings_of_the_plane() -> None:
     flow = Conjugate(2, layers=6)
     flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(2, 2, ((0, 0), (0, 1), (1, 1)), MANY)
     for push in (flow._push, flow._push_inverse):
-        assert_native_is_plain(push, jet, flow.couplings, monkeypatch)
+        assert_native_is_plain(push, jet, flow.couplings)
 
 
 def test_threads_change_no_bit_of_the_values() -> None:
@@ -111,7 +111,7 @@ def test_threads_change_no_bit_of_the_values() -> None:
 
 def test_other_networks_stay_with_torch() -> None:
     jet = drawn_jet(3, *JETS["mixed"], FEW)
-    assert not Network([3, 64, 64, 64, 3]).takes_natively(jet)
-    assert not Network([3, 50, 50, 3]).takes_natively(jet)
-    assert not Network([3, 64, 64, 3], activation="sigmoid").takes_natively(jet)
-    assert not Network([3, 64, 64, 3]).double().takes_natively(jet)
+    assert not takes("network", jet, Network([3, 64, 64, 64, 3]).layers())
+    assert not takes("network", jet, Network([3, 50, 50, 3]).layers())
+    assert not takes("network", jet, Network([3, 64, 64, 3], activation="sigmoid").layers())
+    assert not takes("network", jet, Network([3, 64, 64, 3]).double().layers())

@@ -6,22 +6,20 @@ import pytest
 import torch
 from flow_cases import points, random_flow
 
+from renderer.cpp import FEWEST, plain_twins
 from splatmorph.flows import Node
-from splatmorph.flows import node as node_module
 
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("field", ["spline", "siren"])
-def test_native_paths_are_the_plain_ones(
-    field: str, dim: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_native_paths_are_the_plain_ones(field: str, dim: int) -> None:
     flow = random_flow({"kind": "node", "field": field}, dim, 3)
     assert isinstance(flow, Node)
-    x = points(flow, node_module.NATIVE_FROM + 5, 3, torch.float32)
+    x = points(flow, FEWEST + 5, 3, torch.float32)
     times = [0.4, -0.9, 1.0, 0.0]
     native = *flow.trajectory_jacobian(x, times), flow.trajectory(x, times), flow(x, 0.7)
-    monkeypatch.setattr(node_module, "NATIVE_FROM", 10**9)
-    plain = *flow.trajectory_jacobian(x, times), flow.trajectory(x, times), flow(x, 0.7)
+    with plain_twins():
+        plain = *flow.trajectory_jacobian(x, times), flow.trajectory(x, times), flow(x, 0.7)
     for ours, theirs in zip(native, plain, strict=True):
         assert torch.allclose(ours, theirs, atol=1e-4)
     assert torch.equal(native[2][3], x)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 
 from renderer import native, portable
+from renderer.cpp import plain_twins
 
 Scene = dict[str, np.ndarray]
 
@@ -52,13 +53,14 @@ def assert_same_picture(found: tuple[Any, ...], expected: tuple[Any, ...]) -> No
 
 
 @pytest.fixture(params=["native", "portable"])
-def each_path(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+def each_path(request: pytest.FixtureRequest) -> Iterator[str]:
     """Run the test with the vector path and with the portable one."""
     if request.param == "portable":
-        monkeypatch.setattr(native, "is_available", lambda: False)
+        with plain_twins():
+            yield "portable"
     else:
-        assert native.is_available(), "the headers don't compile on this machine"
-    return str(request.param)
+        assert native.PROGRAM.available(), "the headers don't compile on this machine"
+        yield "native"
 
 
 @pytest.fixture

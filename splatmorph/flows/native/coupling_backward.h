@@ -69,4 +69,3 @@ for (long p = points * part / parts; p < end; p += LANES) {
     turn(slope_state, true);
     scatter(slope_state, DIM, OUTER, p, count, given.slope_from);
 }
-} // layer

@@ -19,4 +19,3 @@ for (long p = points * part / parts; p < end; p += LANES) {
     }
     scatter(state, DIM, OUTER, p, count, given.to);
 }
-} // layer

@@ -2,7 +2,7 @@
 // Network.push in flows/network.py. A point has `channels` rows: its value, its derivatives along
 // `directions`, and the second ones along `pairs` of those. Units lie along the registers.
 constexpr int CHANNELS = 1 + DIRECTIONS + PAIRS, ROWS = LANES * CHANNELS;
-constexpr int TALL = 8, WIDE = 2 * LANES, MOST_WIDTH = 256;
+constexpr int TALL = 8, WIDE = 2 * LANES;
 typedef float Loose __attribute__((ext_vector_type(16), aligned(4)));
 auto load = [](const float* from) -> Floats { return *(const Loose*)from; };
 auto store = [](float* to, Floats value) { *(Loose*)to = value; };
@@ -22,13 +22,10 @@ struct Arguments {                                         // the twin of jet.py
     const float* turn;                                     // DIM × DIM, before a coupling, or null
     const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
     float *slope_from, *slope_weights;                     // the latter parts × parameters
-    long long layers, points, width, parameters, moved;
+    long long points, width, parameters, moved;
     double first_omega, omega, bound;
 };
-// One network or coupling after the other, each part on points of its own.
-const Arguments* const every = (const Arguments*)arguments;
-for (int layer = 0; layer < every->layers; ++layer) {
-const Arguments& given = every[layer];
+const Arguments& given = *(const Arguments*)arguments;
 const float *const first = given.first, *const second = given.second, *const last = given.last;
 const int width = given.width;
 const float first_omega = given.first_omega, omega = given.omega;

@@ -13,18 +13,30 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from renderer.snippet import run_snippet
+from renderer.cpp import Program
 from splatmorph.flows.jets import Jet, Pairs
-from splatmorph.flows.network import Network
 
+WIDTHS = range(32, 257, 32)
+"""Of the networks that ``jet.h`` knows."""
+MOST_INPUTS = 8
+MOST_CHANNELS = 10
 WORTH_SHARING = 1 << 22
 """Products in the middle layers from which a second thread pays."""
+
+
+class Layers(NamedTuple):
+    """A network's linear maps, and the ω of the activations between them."""
+
+    activation: str
+    weights: Sequence[Tensor]
+    biases: Sequence[Tensor]
+    omegas: Sequence[float]
 
 
 class Step(NamedTuple):
     """A network, or the coupling that it makes."""
 
-    network: Network
+    layers: Layers
     moved: int = 0
     """The coordinate i of z_i <- exp(bound·tanh r₀) z_i + r₁."""
     bound: float = 0.0
@@ -40,14 +52,19 @@ class _Arguments(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("first", "first_bias", "second", "second_bias")),
         *((name, ctypes.c_void_p) for name in ("last", "last_bias", "from", "to")),
         *((name, ctypes.c_void_p) for name in ("turn", "slope_to", "slope_from", "slope_weights")),
-        *((name, ctypes.c_int64) for name in ("layers", "points", "width", "parameters", "moved")),
+        *((name, ctypes.c_int64) for name in ("points", "width", "parameters", "moved")),
         *((name, ctypes.c_double) for name in ("first_omega", "omega", "bound")),
     )
 
 
+Shape = tuple[int, int, int, Pairs]
+"""A network's inputs and outputs, a jet's directions and pairs."""
+
+
 @cache
-def _source(what: str, way: str, inputs: int, outputs: int, directions: int, pairs: Pairs) -> str:
-    """``way`` forward or backward, for jets with so many ``directions`` and these ``pairs``."""
+def _program(what: str, way: str, shape: Shape) -> Program:
+    """Of a network or a coupling, forward or backward."""
+    inputs, outputs, directions, pairs = shape
     constants, headers = "", ["lanes.h", "jet.h", f"{what}_{way}.h"]
     if way == "backward":
         headers.insert(2, "jet_backward.h")
@@ -57,9 +74,29 @@ def _source(what: str, way: str, inputs: int, outputs: int, directions: int, pai
         inner = tuple(combinations_with_replacement(range(inputs), 2)) if pairs else ()
         directions, pairs = (inputs if directions else 0), inner
     constants += f"constexpr int INPUTS = {inputs}, OUTPUTS = {outputs};\n"
+    constants += f"constexpr int MOST_WIDTH = {WIDTHS[-1]};\n"
     constants += _constants("", directions, pairs)
-    folder = Path(__file__).parent
-    return constants + "\n".join((folder / name).read_text(encoding="utf-8") for name in headers)
+    return Program(
+        Path(__file__).parent, headers, _Arguments, constants=constants, differentiable=True
+    )
+
+
+def takes(what: str, jet: Jet, layers: Layers) -> bool:
+    """Whether a network of these layers, or a coupling of it, is for the functions below."""
+    first = layers.weights[0]
+    width, inputs = first.shape
+    if not (
+        layers.activation == "sine"
+        and len(layers.weights) == 3
+        and width in WIDTHS
+        and max(inputs, jet.value.shape[1]) <= MOST_INPUTS
+        and 1 + len(jet.first) + len(jet.pairs) <= MOST_CHANNELS
+        and first.dtype == jet.value.dtype
+    ):
+        return False
+    shape = (inputs, len(layers.weights[2]), len(jet.first), jet.pairs)
+    ways = ("forward", "backward") if torch.is_grad_enabled() else ("forward",)
+    return all(_program(what, way, shape).takes(jet.value, first, fewest=0) for way in ways)
 
 
 def _constants(prefix: str, directions: int, pairs: Pairs) -> str:
@@ -92,8 +129,8 @@ class _Jets(torch.autograd.Function):
         outputs, count = len(layers[5]), len(steps)
         made = rows.new_empty(count, channels, m, columns if what == "coupling" else outputs)
         given = [rows, *made[:-1]]
-        ctx.sizes = (count, m, width, sum(layer.numel() for layer in layers))
-        ctx.shape = (inputs, outputs, channels - 1 - len(pairs), pairs)
+        ctx.sizes = (m, width, sum(layer.numel() for layer in layers))
+        ctx.shape = inputs, outputs, channels - 1 - len(pairs), pairs
         ctx.what, ctx.steps = what, steps
         ctx.save_for_backward(*given, *layers)
         arguments = [
@@ -101,7 +138,7 @@ class _Jets(torch.autograd.Function):
             for i, step in enumerate(steps)
         ]
         parts = _parts(count, channels * m, layers[0])
-        _run(_source(what, "forward", *ctx.shape), arguments, parts)
+        _program(what, "forward", ctx.shape).run(arguments, parts)
         return made[-1]
 
     @staticmethod
@@ -121,7 +158,7 @@ class _Jets(torch.autograd.Function):
             arrays = (slope_made[i], slope_given[i], slopes[0, starts[6 * i] :])
             step = ctx.steps[i]
             arguments.append(_arguments(step, layers[6 * i :], given[i], None, arrays, ctx.sizes))
-        _run(_source(ctx.what, "backward", *ctx.shape), arguments, parts)
+        _program(ctx.what, "backward", ctx.shape).run(arguments, parts)
         summed = reduce(torch.add, slopes)  # torch's own sum would wake threads for so many
         slopes_of_layers = [
             part.view(layer.T.shape).T if i % 6 == 0 else part.view(layer.shape)
@@ -140,7 +177,7 @@ def _arguments(
 ) -> _Arguments:
     tensors = (*layers[:6], given, made, step.turn, *slopes)
     addresses = (None if tensor is None else tensor.data_ptr() for tensor in tensors)
-    return _Arguments(*addresses, *sizes, step.moved, *step.network.omegas, step.bound)
+    return _Arguments(*addresses, *sizes, step.moved, *step.layers.omegas, step.bound)
 
 
 def _parts(count: int, rows: int, first: Tensor) -> int:
@@ -148,13 +185,9 @@ def _parts(count: int, rows: int, first: Tensor) -> int:
     return torch.get_num_threads() if products > WORTH_SHARING else 1
 
 
-def _run(source: str, arguments: list[_Arguments], parts: int) -> None:
-    run_snippet(source, (_Arguments * len(arguments))(*arguments), parts)
-
-
-def push_network(jet: Jet, network: Network) -> Jet:
+def push_network(jet: Jet, layers: Layers) -> Jet:
     """A jet through a network."""
-    return _push("network", jet, [Step(network)])
+    return _push("network", jet, [Step(layers)])
 
 
 def push_couplings(jet: Jet, steps: list[Step]) -> Jet:
@@ -170,7 +203,7 @@ def _push(what: str, jet: Jet, steps: list[Step]) -> Jet:
     layers = [
         part
         for step in steps
-        for layer in zip(step.network.weights, step.network.biases, strict=True)
+        for layer in zip(step.layers.weights, step.layers.biases, strict=True)
         for part in layer
     ]
     made = _Jets.apply(what, rows, jet.pairs, steps, *layers)

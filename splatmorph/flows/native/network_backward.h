@@ -6,4 +6,3 @@ for (long p = points * part / parts; p < end; p += LANES) {
     reverse_network();
     scatter(slope_x, INPUTS, CHANNELS, p, count, given.slope_from);
 }
-} // layer

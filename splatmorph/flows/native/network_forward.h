@@ -5,4 +5,3 @@ for (long p = points * part / parts; p < end; p += LANES) {
     run_network();
     scatter(raw, OUTPUTS, CHANNELS, p, count, given.to);
 }
-} // layer

@@ -38,7 +38,7 @@ const float* const second = first + width * (DIM + 1); // width × (width weight
 const float* const last = second + width * (width + 1);// width × DIM, then DIM biases
 
 // Layer 1 and its derivatives, [1 + JACOBIAN * DIM][MOST_WIDTH].
-constexpr int TANGENTS = JACOBIAN * DIM, MOST_WIDTH = 256, BLOCK = 4;
+constexpr int TANGENTS = JACOBIAN * DIM, BLOCK = 4;
 Floats hidden[1 + TANGENTS][MOST_WIDTH];
 
 auto rate = [&](const Floats* state, Floats* out) {

@@ -1,4 +1,4 @@
-"""``path.h`` as Warp kernels, one for each dimension, with and without Jacobians."""
+"""``path.h``, compiled once for each dimension, with and without Jacobians."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import torch
 
-from renderer.snippet import run_snippet
+from renderer.cpp import Program
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
@@ -31,20 +31,25 @@ class _Arguments(ctypes.Structure):
 
 
 @cache
-def _source(dim: int, jacobian: bool) -> str:
-    folder = Path(__file__).parent
-    lanes, path = ((folder / name).read_text(encoding="utf-8") for name in ("lanes.h", "path.h"))
-    return f"constexpr int DIM = {dim}, JACOBIAN = {int(jacobian)};\n{lanes}{path}"
+def _program(dim: int, jacobian: bool) -> Program:
+    sizes = f"DIM = {dim}, JACOBIAN = {int(jacobian)}, MOST_WIDTH = {MOST_WIDTH}"
+    return Program(
+        Path(__file__).parent,
+        ("lanes.h", "path.h"),
+        _Arguments,
+        constants=f"constexpr int {sizes};",
+    )
 
 
-def takes(field: SplineField | SirenField) -> bool:
-    """Whether ``path.h`` knows the field."""
-    return isinstance(field, SplineField) or (
+def takes(field: SplineField | SirenField, u: torch.Tensor, *, jacobian: bool) -> bool:
+    """Whether the paths of the points ``u`` (m, dim) are for ``knots``."""
+    known = isinstance(field, SplineField) or (
         field.activation == "sine"
         and field.depth == 2
         and field.width <= MOST_WIDTH
         and field.width % WIDTH_STEP == 0
     )
+    return known and _program(u.shape[1], jacobian).takes(u, *field.parameters())
 
 
 def knots(
@@ -58,7 +63,7 @@ def knots(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """States and rates after 0 … ``steps`` Runge-Kutta steps of size h, on all of torch's threads.
 
-    ``u`` is (m, dim) float32 on the CPU. -> twice (steps + 1, m, dim or dim + dim²); where not
+    ``u`` (m, dim) as ``takes`` wants it. -> twice (steps + 1, m, dim or dim + dim²); where not
     ``every``, only the last state (1, m, …) and rates that mean nothing.
     """
     count, dim = u.shape
@@ -80,7 +85,7 @@ def knots(
         *(base.rounding**2, h),
     )
     parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
-    run_snippet(_source(dim, jacobian), arguments, parts)
+    _program(dim, jacobian).run(arguments, parts)
     return states, rates
 
 

@@ -1,4 +1,4 @@
-"""A pool of threads for native kernels: Warp runs a kernel on one thread of the CPU."""
+"""A pool of threads for programs: Warp runs a kernel on one thread of the CPU."""
 
 from __future__ import annotations
 
@@ -8,6 +8,13 @@ import itertools
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
+
+
+def cores() -> int:
+    """The cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def together(task: Callable[[int], object], threads: int) -> None:
@@ -39,3 +46,8 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
     numbers = itertools.count()
     return ThreadPoolExecutor(threads, "native", stay_on_one_core)
+
+
+# Of a process only the thread that forks goes on in its child.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_pool.cache_clear)
