@@ -9,7 +9,23 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from splatmorph.geometry.harmonics import rotate_sh
+from splatmorph.geometry.quaternions import from_matrices, normalized, product
+from splatmorph.geometry.similarity import Similarity
+
 MAX_SH_DEGREE = 4
+
+UPS: Mapping[str, tuple[int, int, int]] = {
+    "x": (1, 0, 0),
+    "-x": (-1, 0, 0),
+    "y": (0, 1, 0),
+    "-y": (0, -1, 0),
+    "z": (0, 0, 1),
+    "-z": (0, 0, -1),
+}
+"""The axes that may point up."""
+STILL_UP = math.cos(math.radians(30))
+"""An axis leans less than this and still is what a person would call up."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +51,11 @@ class Gaussians:
     """(n, (degree + 1)**2, 3) spherical-harmonic colour coefficients, RGB last."""
     extras: Mapping[str, Tensor] = field(default_factory=dict)
     """Properties of the file that we don't know, one (n,) tensor each, kept for writing."""
+    up: str | None = None
+    """Which axis points up, one of ``UPS``; None where nothing says so."""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What to add to the centers for the coordinates of the file: where these are large beside
+    the splats (surveys), single precision holds only what is left of them."""
 
     def __post_init__(self) -> None:
         n = self.means.shape[0]
@@ -46,6 +67,8 @@ class Gaussians:
             "sh": (self.sh, (n, self.sh.shape[1] if self.sh.ndim == 3 else -1, 3)),
             **{name: (value, (n,)) for name, value in self.extras.items()},
         }
+        if self.up is not None and self.up not in UPS:
+            raise ValueError(f"up is {self.up!r}, expected one of {', '.join(UPS)}")
         for name, (value, shape) in shapes.items():
             if tuple(value.shape) != shape:
                 raise ValueError(f"{name} has shape {tuple(value.shape)}, expected {shape}")
@@ -71,6 +94,30 @@ class Gaussians:
     def opacities(self) -> Tensor:
         """(n,) opacities in [0, 1]."""
         return self.opacity_logits.sigmoid()
+
+    @property
+    def absolute_means(self) -> Tensor:
+        """(n, 3) float64 centers in the coordinates of the file."""
+        means = self.means.double()
+        return means + means.new_tensor(self.offset)
+
+    def moved(self, similarity: Similarity) -> Gaussians:
+        """The splats at x ↦ s R x + t: centers, Σ' = s² R Σ Rᵀ, and colours that turn with them.
+
+        ``up`` turns too, and is lost where it ends between the axes.
+        """
+        if similarity.is_identity:
+            return self
+        turn = from_matrices(similarity.rotation).to(self.quats.device)
+        quats = product(turn.expand(len(self), 4), normalized(self.quats.double()))
+        return replace(
+            self,
+            means=similarity(self.means),
+            quats=quats.to(self.quats.dtype),
+            log_scales=self.log_scales + math.log(similarity.scale),
+            sh=rotate_sh(self.sh, similarity.rotation.to(self.sh.device)),
+            up=_turned_up(self.up, similarity.rotation),
+        )
 
     def select(self, index: Tensor) -> Gaussians:
         """The splats at ``index``: a (m,) tensor of indices or an (n,) boolean mask."""
@@ -99,16 +146,33 @@ class Gaussians:
         """All splats of both, ``first`` before ``second``: G⁰ ∪ G¹ of the paper's eq. 7.
 
         The SH degree is the higher one; extras that only one side has are dropped, since they
-        would have no value on the other.
+        would have no value on the other. The offset is the first one's; which axis is up, what
+        either says if the other doesn't gainsay it.
         """
         degree = max(first.sh_degree, second.sh_degree)
         a, b = first.with_sh_degree(degree), second.with_sh_degree(degree)
         shared = [name for name in a.extras if name in b.extras]
+        means = b.means
+        if a.offset != b.offset:
+            means = (b.absolute_means - b.absolute_means.new_tensor(a.offset)).to(means.dtype)
         return Gaussians(
-            means=torch.cat([a.means, b.means]),
+            means=torch.cat([a.means, means]),
             quats=torch.cat([a.quats, b.quats]),
             log_scales=torch.cat([a.log_scales, b.log_scales]),
             opacity_logits=torch.cat([a.opacity_logits, b.opacity_logits]),
             sh=torch.cat([a.sh, b.sh]),
             extras={name: torch.cat([a.extras[name], b.extras[name]]) for name in shared},
+            up=(a.up or b.up) if None in (a.up, b.up) or a.up == b.up else None,
+            offset=a.offset,
         )
+
+
+def _turned_up(up: str | None, rotation: Tensor) -> str | None:
+    if up is None:
+        return None
+    turned = rotation @ rotation.new_tensor(UPS[up])
+    nearest, cosine = max(
+        ((name, float(turned @ turned.new_tensor(axis))) for name, axis in UPS.items()),
+        key=lambda found: found[1],
+    )
+    return nearest if cosine > STILL_UP else None

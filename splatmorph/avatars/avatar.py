@@ -78,7 +78,8 @@ def load_avatar(
     rig = read_rig(path, flame=flame, mesh=mesh)
     chosen, posed, files = _choose_pose(rig, frame, pose)
     vertices = rig.rest if chosen is None else rig.posed(chosen)
-    gaussians = rig.bake(vertices)
+    # FLAME's y is up; a track may turn the whole head.
+    gaussians = replace(rig.bake(vertices), up="y" if posed == CANONICAL else None)
     near = rig.places.splats
     embedding = find_embedding(flame, near=near) if landmarks_set == "70" else None
     landmarks = mesh_landmarks(landmarks_set, vertices, rig.faces, gaussians, embedding)

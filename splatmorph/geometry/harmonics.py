@@ -39,7 +39,7 @@ def harmonics(directions: Tensor, degree: int) -> Tensor:
 def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
     """Coefficients of the turned colours c'(d) = c(Rᵀd), exact in every degree.
 
-    (n, (degree + 1)², channels), (n, 3, 3) rotations -> the shape of ``sh``.
+    (n, (degree + 1)², channels), (n, 3, 3) rotations, or one (3, 3) for all -> the shape of ``sh``.
 
     A band of degree l is known from its values in any 2l + 1 directions in general position, and
     the turned band's value in d is the old one's in Rᵀd: c' = Y(d)⁻¹ Y(Rᵀd) c.
@@ -47,6 +47,8 @@ def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
     degree = math.isqrt(sh.shape[1]) - 1
     if degree == 0:
         return sh
+    if rotations.ndim == 2:
+        return _rotated(sh, rotations[None].to(sh.dtype), degree)
     parts = zip(sh.split(CHUNK), rotations.to(sh.dtype).split(CHUNK), strict=True)
     return torch.cat([_rotated(part, turn, degree) for part, turn in parts])
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.io.axes import vertical_comments
 from splatmorph.io.elements import Columns, write_elements
 from splatmorph.io.packed import (
     SH0,
@@ -123,7 +124,7 @@ def write_compressed_ply(
         rounded = np.floor((sh[:, 1:] / (2 * SH_RANGE) + 0.5) * 256).clip(0, 255).astype("u1")
         table = np.ascontiguousarray(rounded.transpose(0, 2, 1)).reshape(len(gaussians), -1)
         elements["sh"] = _records(table, [f"f_rest_{i}" for i in range(table.shape[1])])
-    write_elements(path, elements, comments)
+    write_elements(path, elements, [*vertical_comments(gaussians), *comments])
 
 
 def _within_chunks(values: Array) -> tuple[Array, Array]:

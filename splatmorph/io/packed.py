@@ -47,7 +47,7 @@ def stored_arrays(gaussians: Gaussians, path: str | Path) -> tuple[Array, Array,
     if len(gaussians) == 0:
         raise WriteError(f"{path} can't hold a splat of nothing: write a .ply")
     check_drawable(gaussians, f"the splat for {path}", WriteError)
-    fields = (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.sh)
+    fields = (gaussians.absolute_means, gaussians.quats, gaussians.log_scales, gaussians.sh)
     means, quats, log_scales, sh = (field.detach().cpu().double().numpy() for field in fields)
     return means, quats / np.linalg.norm(quats, axis=1, keepdims=True), log_scales, sh
 

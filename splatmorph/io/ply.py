@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,13 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import LocalFrameError, ReadError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
+from splatmorph.io.axes import vertical_axis, vertical_comments
 from splatmorph.io.checks import check_count, check_stored
 from splatmorph.io.compressed_ply import is_compressed, unpack
 from splatmorph.io.dialects import COLOUR, SCALES, dialects_of, finite_logits, translated
 from splatmorph.io.elements import Columns, read_elements, write_elements
+from splatmorph.io.layout import read_layout
+from splatmorph.io.offsets import with_offset, without_offset
 
 MEANS = ("x", "y", "z")
 NORMALS = ("nx", "ny", "nz")
@@ -41,9 +45,9 @@ def read_ply(path: str | Path) -> Gaussians:
         LocalFrameError: positions are in the frames of mesh triangles (``binding_0``).
         ReadError: see :func:`splatmorph.io.read`.
     """
-    elements = read_elements(path)
+    elements, up = read_elements(path), vertical_axis(read_layout(Path(path)).comments)
     if is_compressed(elements):
-        return unpack(elements, path)
+        return replace(unpack(elements, path), up=up)
     columns = _plain_splat(elements, path)
     if BINDING in columns:
         raise LocalFrameError(
@@ -51,7 +55,7 @@ def read_ply(path: str | Path) -> Gaussians:
             "of mesh triangles; give the avatar's directory, with flame_param.npz or "
             "mesh_verts.npy beside the file, or run  splatmorph bake  first"
         )
-    return gaussians_from_properties(columns, path)
+    return replace(gaussians_from_properties(columns, path), up=up)
 
 
 def ply_layout(path: str | Path) -> str:
@@ -94,13 +98,16 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
     extras = {name: _extra(value) for name, value in columns.items() if name not in known}
     if any(np.any(columns[name]) for name in NORMALS if name in columns):
         extras |= {name: _extra(columns[name]) for name in NORMALS if name in columns}
+    log_scales = _stack(columns, SCALES)
+    means, offset = without_offset(np.stack([columns[name] for name in MEANS], 1), log_scales)
     gaussians = Gaussians(
-        means=torch.from_numpy(_stack(columns, MEANS)),
+        means=torch.from_numpy(means),
         quats=torch.from_numpy(_stack(columns, QUATS)),
-        log_scales=torch.from_numpy(_stack(columns, SCALES)),
+        log_scales=torch.from_numpy(log_scales),
         opacity_logits=torch.from_numpy(finite_logits(columns["opacity"])),
         sh=torch.from_numpy(sh),
         extras=extras,
+        offset=offset,
     )
     check_stored(gaussians, path)
     return gaussians
@@ -109,12 +116,14 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
     """Write Inria's layout, float32 little endian: x y z, normals, SH, opacity, scales, quats.
 
-    Normals are zero unless the splat was read with others. Extras follow in their own types.
+    Normals are zero unless the splat was read with others. Extras follow in their own types, and
+    centers too far from the origin for float32 are doubles.
 
     Raises:
         WriteError: see :func:`splatmorph.io.write`.
     """
-    write_elements(path, {"vertex": _records(gaussians)}, comments)
+    header = [*vertical_comments(gaussians), *comments]
+    write_elements(path, {"vertex": _records(gaussians)}, header)
 
 
 def _records(gaussians: Gaussians) -> NDArray[np.void]:
@@ -122,13 +131,13 @@ def _records(gaussians: Gaussians) -> NDArray[np.void]:
     rest = [f"f_rest_{i}" for i in range(3 * per_channel)]
     names = [*MEANS, *NORMALS, *COLOUR, *rest, "opacity", *SCALES, *QUATS]
     extras = {name: value.cpu().numpy() for name, value in gaussians.extras.items()}
-    appended = {name: value for name, value in extras.items() if name not in NORMALS}
-    fields = [(name, np.dtype("<f4")) for name in names]
-    fields += [(name, value.dtype.newbyteorder("<")) for name, value in appended.items()]
+    means = with_offset(gaussians)
+    own = {name: means[:, i] for i, name in enumerate(MEANS) if means.dtype != np.float32}
+    own |= {name: value for name, value in extras.items() if name not in NORMALS}
     n = len(gaussians)
     table = np.zeros((n, len(names)), "<f4")
     sh = gaussians.sh.cpu().numpy()
-    table[:, 0:3] = gaussians.means.cpu()
+    table[:, 0:3] = means
     for i, name in enumerate(NORMALS):
         if name in extras:
             table[:, 3 + i] = extras[name]
@@ -137,13 +146,13 @@ def _records(gaussians: Gaussians) -> NDArray[np.void]:
     table[:, -8] = gaussians.opacity_logits.cpu()
     table[:, -7:-4] = gaussians.log_scales.cpu()
     table[:, -4:] = gaussians.quats.cpu()
-    if not appended:
-        return table.view(fields)[:, 0]
+    if not own:
+        return table.view([(name, table.dtype) for name in names])[:, 0]
+    columns = {name: table[:, i] for i, name in enumerate(names)} | own
+    fields = [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()]
     records = np.empty(n, fields)
-    for i, name in enumerate(names):
-        records[name] = table[:, i]
-    for name, value in appended.items():
-        records[name] = value
+    for name, column in columns.items():
+        records[name] = column
     return records
 
 

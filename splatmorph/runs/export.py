@@ -119,7 +119,7 @@ def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = (
     if not io.FORMATS[io.extension_of(path)].loses:
         return 0.0
     stored = io.read(path)
-    return float((gaussians.means.double() - stored.means.double()).norm(dim=1).max())
+    return float((gaussians.absolute_means - stored.absolute_means).norm(dim=1).max())
 
 
 def _done_before(

@@ -32,7 +32,7 @@ def write_sample_pair(folder: str | Path) -> tuple[Path, Path]:
     paths = []
     for person, (gaussians, marks) in zip(PAIR, sample_pair(), strict=True):
         path = folder / f"{person.name}.ply"
-        write(path, gaussians, comments=("Vertical Axis: y",))
+        write(path, gaussians)
         marks.write(path.with_name(f"{person.name}.landmarks.json"))
         paths.append(path)
     return paths[0], paths[1]

@@ -100,4 +100,5 @@ def to_gaussians(strokes: Strokes, base: Array, slope: Array, opacity: float = 0
         log_scales=tensor(np.log(strokes.sizes.T * METRES)),
         opacity_logits=torch.full((len(strokes),), logit),
         sh=tensor(sh.transpose(2, 0, 1)),
+        up="y",
     )

@@ -18,7 +18,7 @@ from refusals import refused
 
 from splatmorph import io
 from splatmorph.errors import LocalFrameError, OptionError, WriteError
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import UPS, Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.ply import read_properties
 
@@ -118,7 +118,7 @@ def test_normals_that_say_something_are_kept(
 
 
 def test_the_layout_is_inrias(tmp_path: Path, make_gaussians: MakeGaussians) -> None:
-    splats = make_gaussians(3, 3)
+    splats = replace(make_gaussians(3, 3), up="y")
     io.write(tmp_path / "x.ply", splats, ["splatmorph t=0.5 source=a target=b"])
     stored = PlyData.read(tmp_path / "x.ply")
     rest = [f"f_rest_{i}" for i in range(45)]
@@ -289,3 +289,65 @@ def test_an_interrupt_in_the_middle_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         write_half()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("extension", [".ply", ".compressed.ply"])
+@pytest.mark.parametrize("up", [*UPS, None])
+def test_which_axis_is_up_is_kept_and_never_made_up(
+    up: str | None, extension: str, tmp_path: Path, make_gaussians: MakeGaussians
+) -> None:
+    io.write(tmp_path / f"x{extension}", replace(make_gaussians(3), up=up))
+    assert io.read(tmp_path / f"x{extension}").up == up
+
+
+@pytest.mark.parametrize(
+    ("comment", "up"),
+    [("Vertical Axis: z", "z"), ("vertical axis: -Y", "-y"), ("Vertical Axis: +z", "z"),
+     ("Vertical Axis: sideways", None), ("my Vertical Axis: z", None)],
+)  # fmt: skip
+def test_others_say_which_axis_is_up(
+    comment: str, up: str | None, tmp_path: Path, columns: dict[str, np.ndarray]
+) -> None:
+    write_columns(tmp_path / "y.ply", columns)
+    text = (tmp_path / "y.ply").read_bytes()
+    (tmp_path / "y.ply").write_bytes(
+        text.replace(b"element", f"comment {comment}\nelement".encode(), 1)
+    )
+    assert io.read(tmp_path / "y.ply").up == up
+
+
+@pytest.mark.parametrize("kind", ["f8", "f4"])
+@pytest.mark.parametrize(
+    "middle", [(480_000.0, 5_400_000.0, 210.0), (0.0, 0.0, 6.4e6), (3.0, 0, 0)]
+)
+def test_far_coordinates_keep_their_detail_and_come_back(
+    kind: str, middle: tuple[float, ...], tmp_path: Path, columns: dict[str, np.ndarray]
+) -> None:
+    far = {
+        name: (columns[name].astype("f8") + shift).astype(kind)
+        for name, shift in zip("xyz", middle, strict=True)
+    }
+    write_columns(tmp_path / "y.ply", columns | far)
+    splats = io.read(tmp_path / "y.ply")
+    if max(middle) > 1e5:
+        assert splats.means.abs().max() < 20
+        assert any(splats.offset)
+    exact = np.stack([far[name] for name in "xyz"], axis=1)
+    np.testing.assert_allclose(splats.absolute_means, exact, rtol=0, atol=1e-6)
+    io.write(tmp_path / "z.ply", splats)
+    again = stored_columns(tmp_path / "z.ply")
+    for name in "xyz":
+        np.testing.assert_allclose(again[name], far[name], rtol=0, atol=1e-6)
+        if kind == "f4":
+            assert again[name].tobytes() == far[name].tobytes()
+    assert again["scale_0"].tobytes() == columns["scale_0"].tobytes()
+
+
+def test_near_coordinates_are_not_touched(tmp_path: Path, columns: dict[str, np.ndarray]) -> None:
+    for factor in (1e-4, 1.0, 1e3):
+        scaled = {name: (factor * columns[name]).astype("f4") for name in "xyz"}
+        logs = {f"scale_{i}": columns[f"scale_{i}"] + np.log(factor).astype("f4") for i in range(3)}
+        write_columns(tmp_path / "y.ply", columns | scaled | logs)
+        splats = io.read(tmp_path / "y.ply")
+        assert not any(splats.offset)
+        assert splats.means[:, 0].numpy().tobytes() == scaled["x"].tobytes()
