@@ -15,7 +15,7 @@ struct Entry {
 // are monotonous, so their ends decide.
 constexpr int COLUMNS = 4;  // few splats meet more
 auto rows_of = [&](const Splat& s, float left, int* first, int* last) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const Float4 step = {0.f, LANES, 2.f * LANES, 3.f * LANES};
     const float det = s.conic_xx * s.conic_yy - s.conic_xy * s.conic_xy;
     const float level = 2.f * (s.log_opacity - LOG_ALPHA_MIN) * s.conic_yy;
@@ -95,7 +95,8 @@ auto bin_part = [&](int part) {
     for (; rank < end; ++rank) {
         __builtin_prefetch(splats + order[rank + 16 < end ? rank + 16 : rank]);
         const Splat& s = splats[order[rank]];
-        const int area = (s.right / LANES - s.left / LANES + 1) * (s.bottom / ROWS - s.top / ROWS + 1);
+        const int area =
+            (s.right / LANES - s.left / LANES + 1) * (s.bottom / ROWS - s.top / ROWS + 1);
         if (listed + area > list_size) break;
         const int more = list_splat(order[rank], list + listed, count);
         if (!more) continue;
@@ -134,5 +135,6 @@ auto place_entries = [&]() {
 auto fill_part = [&](int part) {
     int* place = counts + (long)part * tiles;
     const Word* list = lists + (long)part * list_size;
-    for (int i = 0; i < state.part_count[part]; ++i) entries[place[Entry::tile(list[i])]++] = list[i];
+    for (int i = 0; i < state.part_count[part]; ++i)
+        entries[place[Entry::tile(list[i])]++] = list[i];
 };

@@ -1,6 +1,6 @@
 // exp(16 p) for p in [-0.36, 0]: a cubic to the power of 16, relative error 8e-5.
 auto exp16 = [&](Floats p) -> Floats {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     Floats e = EXP0 + p * (EXP1 + p * (EXP2 + p * EXP3));
     e *= e, e *= e, e *= e;
     return e * e;
@@ -8,17 +8,23 @@ auto exp16 = [&](Floats p) -> Floats {
 
 // Three vectors of 16 pixels' red, green and blue as 48 floats in the order of the picture.
 auto interleave = [&](Floats red, Floats green, Floats blue, float* out) {
-    const auto a = __builtin_shufflevector(red, green, 0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5);
-    const auto b = __builtin_shufflevector(red, green, 21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26);
-    const auto c = __builtin_shufflevector(red, green, 0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30, 0, 15, 31, 0);
-    store(out, __builtin_shufflevector(a, blue, 0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20, 15));
-    store(out + 16, __builtin_shufflevector(b, blue, 0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12, 25, 14, 15));
-    store(out + 32, __builtin_shufflevector(c, blue, 26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30, 13, 14, 31));
+    const auto a =
+        __builtin_shufflevector(red, green, 0, 16, 0, 1, 17, 0, 2, 18, 0, 3, 19, 0, 4, 20, 0, 5);
+    const auto b =
+        __builtin_shufflevector(red, green, 21, 0, 6, 22, 0, 7, 23, 0, 8, 24, 0, 9, 25, 0, 10, 26);
+    const auto c = __builtin_shufflevector(red, green, 0, 11, 27, 0, 12, 28, 0, 13, 29, 0, 14, 30,
+                                           0, 15, 31, 0);
+    store(out, __builtin_shufflevector(a, blue, 0, 1, 16, 3, 4, 17, 6, 7, 18, 9, 10, 19, 12, 13, 20,
+                                       15));
+    store(out + 16, __builtin_shufflevector(b, blue, 0, 21, 2, 3, 22, 5, 6, 23, 8, 9, 24, 11, 12,
+                                            25, 14, 15));
+    store(out + 32, __builtin_shufflevector(c, blue, 26, 1, 2, 27, 4, 5, 28, 7, 8, 29, 10, 11, 30,
+                                            13, 14, 31));
 };
 
 // Rows of a tile that no later splat changes go to the picture.
 auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int wide = view.width - left;
     for (int r = first; r <= last; ++r) {
         const long at = (long)(top + r) * view.width + left;
@@ -27,7 +33,8 @@ auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
         float pixels[5 * LANES];
         float* out[3] = {pixels, pixels + 3 * LANES, pixels + 4 * LANES};
         if (wide >= LANES) out[0] = rgb + 3 * at, out[1] = alphas + at, out[2] = depths + at;
-        interleave(rows[r].red + clear * given.background[0], rows[r].green + clear * given.background[1],
+        interleave(rows[r].red + clear * given.background[0],
+                   rows[r].green + clear * given.background[1],
                    rows[r].blue + clear * given.background[2], out[0]);
         store(out[1], alpha);
         store(out[2], depth);
@@ -42,7 +49,7 @@ auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
 
 // One splat over rows first to last of a tile.
 auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const Floats none = all(0.f);
     const Floats dx = x - s.x;
     const float yy = s.conic_yy * (-0.5f / 16);
@@ -53,7 +60,8 @@ auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, 
     for (int r = first; r <= last; ++r, dy += 1.f) {
         const Floats power = across + (slant + yy * dy) * dy;
         // Far outside, the polynomial may overflow; such lanes are not taken.
-        const Floats alpha = power >= LOG_ALPHA_MIN / 16 ? smaller(exp16(power), all(ALPHA_MAX)) : none;
+        const Floats alpha =
+            power >= LOG_ALPHA_MIN / 16 ? smaller(exp16(power), all(ALPHA_MAX)) : none;
         const Floats before = rows[r].clear;
         const Floats after = before - alpha * before;
         const Ints finished = after < CLEAR_MIN;
@@ -75,7 +83,8 @@ auto blend_tile = [&](int t) {
     int first = open.first, last = open.last;
     Row rows[ROWS];
     for (int r = first; r <= last; ++r)
-        rows[r] = open.touched ? kept[t * ROWS + r] : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
+        rows[r] = open.touched ? kept[t * ROWS + r]
+                               : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
     for (int j = begin; j < end; ++j) {
         __builtin_prefetch(splats + Entry::id(entries[j + 8 < end ? j + 8 : j]));
         const int r0 = Entry::first(entries[j]), r1 = Entry::last(entries[j]);

@@ -57,9 +57,7 @@ auto next_phase = [&](int phase) {
         begin_sort();
         open_tiles();
         return open_phase(COUNT, PARTS);
-    case COUNT:
-        place_digits();
-        return open_phase(SCATTER, PARTS);
+    case COUNT: place_digits(); return open_phase(SCATTER, PARTS);
     case SCATTER:
         if (++state.pass < state.passes) return open_phase(COUNT, PARTS);
         state.sorted = state.pass & 1;
@@ -69,8 +67,7 @@ auto next_phase = [&](int phase) {
         place_entries();
         state.last_slab = state.slab_end == state.visible;
         return open_phase(FILL, state.slab_parts);
-    case FILL:
-        return open_phase(BLEND, tiles);
+    case FILL: return open_phase(BLEND, tiles);
     case BLEND:
         if (state.last_slab) return open_phase(DONE, 0);
         begin_slab(state.slab_end);
@@ -89,7 +86,8 @@ for (;;) {
         continue;
     }
     ticket = __atomic_fetch_add(&state.ticket, 1, __ATOMIC_ACQ_REL);
-    const int phase = (int)(ticket >> 56), task = (int)(ticket & TASKS), tasks = (int)(ticket >> 28 & TASKS);
+    const int phase = (int)(ticket >> 56), task = (int)(ticket & TASKS),
+              tasks = (int)(ticket >> 28 & TASKS);
     if (task >= tasks) continue;
     const Word began = clock();
     switch (phase) {

@@ -32,7 +32,7 @@ struct Splat {
     float x, y;  // center, px
     float conic_xx, conic_xy, conic_yy;
     float log_opacity;
-    float reach_x, reach_y;  // half extent of alpha >= 1/255, px
+    float reach_x, reach_y;        // half extent of alpha >= 1/255, px
     int left, right, top, bottom;  // the pixels it may touch, both ends included
     float red, green, blue, depth;
 };
@@ -47,13 +47,13 @@ struct Arguments {
     const float *means, *quats, *scales, *opacities, *sh;  // n rows
     float *rgb, *alpha, *depth;                            // height × width
     State* state;
-    Splat* splats;                        // n
-    unsigned* keys;                       // two of n, as
-    int* ids;                             // are these
-    int *digits, *counts, *ends;          // parts × radix, parts × tiles, tiles
-    Word *lists, *entries;                // parts × list_size, and as many in their order
-    Row* kept;                            // tiles × ROWS
-    Tile* open_rows;                      // tiles
+    Splat* splats;                // n
+    unsigned* keys;               // two of n, as
+    int* ids;                     // are these
+    int *digits, *counts, *ends;  // parts × radix, parts × tiles, tiles
+    Word *lists, *entries;        // parts × list_size, and as many in their order
+    Row* kept;                    // tiles × ROWS
+    Tile* open_rows;              // tiles
     View view;
     float background[3];
     int n, coefficients, degree, list_size;

@@ -8,7 +8,7 @@ auto block = [&](const float* rows, int stride, int i, float* spare) -> const fl
 
 // EWA projection of the splats of one part; the visible ones are listed with their depth.
 auto project_part = [&](int part) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const auto& V = view.viewmat;
     const int begin = part * part_size, end = begin + part_size < n ? begin + part_size : n;
     unsigned* key = keys[0] + begin;
@@ -23,8 +23,10 @@ auto project_part = [&](int part) {
         const Floats inverse = 1.f / larger(depth, all(view.near));
         const Floats slope_x = (V[0][0] * x + V[0][1] * y + V[0][2] * z + V[0][3]) * inverse;
         const Floats slope_y = (V[1][0] * x + V[1][1] * y + V[1][2] * z + V[1][3]) * inverse;
-        const Floats bent_x = smaller(larger(slope_x, all(view.slope_min[0])), all(view.slope_max[0]));
-        const Floats bent_y = smaller(larger(slope_y, all(view.slope_min[1])), all(view.slope_max[1]));
+        const Floats bent_x =
+            smaller(larger(slope_x, all(view.slope_min[0])), all(view.slope_max[0]));
+        const Floats bent_y =
+            smaller(larger(slope_y, all(view.slope_min[1])), all(view.slope_max[1]));
         const Floats fx = view.focal[0] * inverse, fy = view.focal[1] * inverse;
 
         p = block(quats, 4, i, spare[1]);
@@ -64,16 +66,19 @@ auto project_part = [&](int part) {
         const Floats py = slope_y * view.focal[1] + view.principal[1];
         // Pixel centers lie at +0.5, so pixel i is covered where i + 0.5 is within reach.
         const Floats left = ceiling(larger(px - reach_x - (0.5f + SLACK), all(0.f)));
-        const Floats right = flooring(smaller(px + reach_x - (0.5f - SLACK), all(view.width - 1.f)));
+        const Floats right =
+            flooring(smaller(px + reach_x - (0.5f - SLACK), all(view.width - 1.f)));
         const Floats top = ceiling(larger(py - reach_y - (0.5f + SLACK), all(0.f)));
-        const Floats bottom = flooring(smaller(py + reach_y - (0.5f - SLACK), all(view.height - 1.f)));
+        const Floats bottom =
+            flooring(smaller(py + reach_y - (0.5f - SLACK), all(view.height - 1.f)));
         // What is not finite fails one of these comparisons.
         const Ints drawn = (depth > view.near) & (depth < view.far) & (opacity >= ALPHA_MIN) &
                            (opacity < 1e30f) & (norm > 0.f) & (det > 0.f) & (det < 1e30f) &
                            (left <= right) & (top <= bottom);
 
-        const Floats fields[12] = {px, py, cov_yy / det, -cov_xy / det, cov_xx / det,
-                                   log_opacity, reach_x, reach_y, left, right, top, bottom};
+        const Floats fields[12] = {px,           py,          cov_yy / det, -cov_xy / det,
+                                   cov_xx / det, log_opacity, reach_x,      reach_y,
+                                   left,         right,       top,          bottom};
         for (int lane = 0; lane < LANES; ++lane) {
             if (!drawn[lane]) continue;
             Splat& splat = splats[i + lane];

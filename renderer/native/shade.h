@@ -1,7 +1,7 @@
 // Colours of 16 splats. The harmonics are computed for all of them at once; then each splat
 // sums its own coefficients, which lie together in memory, three floats in one load of four.
 auto shade = [&](const int* id, int count) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     if (!count) return;
     float position[3][LANES], basis[25][LANES];
     for (int lane = 0; lane < LANES; ++lane)

@@ -28,7 +28,7 @@ auto pick = [&](const float* rows, int stride) -> Floats {
 
 // Natural logarithm, relative error 1e-7 (Cephes' polynomial on [sqrt(1/2), sqrt(2))).
 auto logarithm = [&](Floats x) -> Floats {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     Ints bits = *(Ints*)&x;
     Ints exponent = (bits - 0x3f3504f3) >> 23;
     bits -= exponent << 23;

@@ -7,23 +7,23 @@ constexpr int OUTER = 1 + OUTER_DIRECTIONS + OUTER_PAIRS, DIM = INPUTS + 1, ROW 
 const int moved = given.moved;
 const float bound = given.bound;
 
-float state[OUTER * DIM * LANES];                          // outer × DIM × points
-float terms[CHANNELS * ROW];                               // rows of exp(bound tanh r₀) and r₁
+float state[OUTER * DIM * LANES];  // outer × DIM × points
+float terms[CHANNELS * ROW];       // rows of exp(bound tanh r₀) and r₁
 Floats scale[OUTER], shift[OUTER], factor[OUTER];
-Floats slope, bend, twist;                                 // of r₀ -> exp(bound tanh r₀)
+Floats slope, bend, twist;  // of r₀ -> exp(bound tanh r₀)
 auto kept_at = [&](int row, int n) -> int { return (row * DIM + n + (n >= moved)) * LANES; };
 
 // Points turned by the matrix before the coupling, or with `back` slopes by its transpose.
 auto turn = [&](float* rows, bool back) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     if (!given.turn) return;
     for (int row = 0; row < OUTER; ++row) {
         Floats turned[DIM];
         for (int i = 0; i < DIM; ++i) {
             turned[i] = (Floats)0.f;
             for (int j = 0; j < DIM; ++j)
-                turned[i] += given.turn[back ? j * DIM + i : i * DIM + j]
-                    * load(rows + (row * DIM + j) * LANES);
+                turned[i] += given.turn[back ? j * DIM + i : i * DIM + j] *
+                             load(rows + (row * DIM + j) * LANES);
         }
         for (int i = 0; i < DIM; ++i) store(rows + (row * DIM + i) * LANES, turned[i]);
     }
@@ -37,7 +37,7 @@ auto seed = [&]() {
 
 // Rows of the jet for a function of the other coordinates with the rows q.
 auto compose = [&](const float* q, Floats* rows) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     for (int row = 0; row < OUTER; ++row) {
         rows[row] = row ? (Floats)0.f : load(q);
         for (int n = 0; row && n < DIRECTIONS; ++n)
@@ -56,9 +56,10 @@ auto compose = [&](const float* q, Floats* rows) {
 
 // `scale`, `shift` and the `factor` that `scale` multiplies, from `raw` and `state`.
 auto meet = [&]() {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const Floats bent = 1.f - 2.f / (exponential(2.f * load(raw)) + 1.f);
-    const Floats g = exponential(bound * bent), less = 1.f - bent * bent, u = bound * less, du = -2.f * bent * u;
+    const Floats g = exponential(bound * bent), less = 1.f - bent * bent, u = bound * less,
+                 du = -2.f * bent * u;
     slope = g * u;
     bend = g * (u * u + du);
     twist = g * (u * u * u + 3.f * u * du + u * (6.f * bent * bent - 2.f));

@@ -1,8 +1,8 @@
-float slope_state[OUTER * DIM * LANES];                    // ∂loss/∂to, then ∂loss/∂from
+float slope_state[OUTER * DIM * LANES];  // ∂loss/∂to, then ∂loss/∂from
 
 // `compose` in reverse: from ∂loss/∂rows to ∂loss/∂q, and on to `slope_state`.
 auto decompose = [&](const float* q, const Floats* rows, float* slope_q) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     store(slope_q, rows[0]);
     for (int n = 0; n < DIRECTIONS; ++n) {
         const Floats along = load(q + (1 + n) * ROW);
@@ -32,7 +32,7 @@ auto decompose = [&](const float* q, const Floats* rows, float* slope_q) {
 };
 
 for (long p = points * part / parts; p < end; p += LANES) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int count = end - p < LANES ? (int)(end - p) : LANES;
     gather(given.from, DIM, OUTER, p, count, state);
     gather(given.slope_to, DIM, OUTER, p, count, slope_state);

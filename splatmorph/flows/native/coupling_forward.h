@@ -1,6 +1,6 @@
 // `from`, outer × points × dim, to `to`, the same.
 for (long p = points * part / parts; p < end; p += LANES) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int count = end - p < LANES ? (int)(end - p) : LANES;
     gather(given.from, DIM, OUTER, p, count, state);
     turn(state, false);

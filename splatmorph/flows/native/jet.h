@@ -13,15 +13,15 @@ auto total = [](Floats v) -> float {
     return (four.x + four.z) + (four.y + four.w);
 };
 
-struct Arguments {                                         // the twin of jet.py's
-    const float *first, *first_bias;                       // width × INPUTS
-    const float *second, *second_bias;                     // width × width
-    const float *last, *last_bias;                         // OUTPUTS × width
-    const float* from;                                     // what the network or coupling is given
-    float* to;                                             // what it makes of it
-    const float* turn;                                     // DIM × DIM, before a coupling, or null
-    const float* slope_to;                                 // ∂loss/∂to, and what follows from it:
-    float *slope_from, *slope_weights;                     // the latter parts × parameters
+struct Arguments {                      // the twin of jet.py's
+    const float *first, *first_bias;    // width × INPUTS
+    const float *second, *second_bias;  // width × width
+    const float *last, *last_bias;      // OUTPUTS × width
+    const float* from;                  // what the network or coupling is given
+    float* to;                          // what it makes of it
+    const float* turn;                  // DIM × DIM, before a coupling, or null
+    const float* slope_to;              // ∂loss/∂to, and what follows from it:
+    float *slope_from, *slope_weights;  // the latter parts × parameters
     long long points, width, parameters, moved;
     double first_omega, omega, bound;
 };
@@ -31,19 +31,19 @@ const int width = given.width;
 const float first_omega = given.first_omega, omega = given.omega;
 const long points = given.points, end = points * (part + 1) / parts;
 
-float across[INPUTS * MOST_WIDTH];                         // `first` with the units in a row
+float across[INPUTS * MOST_WIDTH];  // `first` with the units in a row
 for (int k = 0; k < width; ++k)
     for (int n = 0; n < INPUTS; ++n) across[n * width + k] = first[k * INPUTS + n];
 
-float turned[MOST_WIDTH * MOST_WIDTH];                     // `second` likewise
+float turned[MOST_WIDTH * MOST_WIDTH];  // `second` likewise
 for (int o = 0; o < width; ++o)
     for (int k = 0; k < width; ++k) turned[k * width + o] = second[o * width + k];
 
-float x[CHANNELS * INPUTS * LANES];                        // channels × inputs × points
-float raw[CHANNELS * OUTPUTS * LANES];                     // channels × outputs × points
-struct Sines {                                             // a layer's: points × channels × width
+float x[CHANNELS * INPUTS * LANES];     // channels × inputs × points
+float raw[CHANNELS * OUTPUTS * LANES];  // channels × outputs × points
+struct Sines {                          // a layer's: points × channels × width
     float before[ROWS * MOST_WIDTH], after[ROWS * MOST_WIDTH];
-    float slopes[LANES * MOST_WIDTH];                      // g' at the value
+    float slopes[LANES * MOST_WIDTH];  // g' at the value
 } sines[2];
 
 // Rows × points × components in memory, rows × components × 16 points at hand; zero beyond `count`.
@@ -64,7 +64,7 @@ auto scatter = [&](const float* block, int size, int rows, long p, int count, fl
 // out[i][j] (+)= Σₗ a[i * row + l * step] b[l][j], b and out `width` wide, `tall` rows of out.
 auto multiply = [&](const float* a, int row, int step, const float* b, int count, float* out,
                     int tall, bool more) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     for (int j = 0; j < width; j += WIDE)
         for (int i = 0; i < tall; i += TALL) {
             Floats left[TALL], right[TALL];
@@ -87,7 +87,7 @@ auto multiply = [&](const float* a, int row, int step, const float* b, int count
 
 // Rows h of g(z), `stride` apart, for a g of given values, slopes g' and bends g''.
 auto push = [&](const float* z, float* h, int stride, Floats g, Floats slope, Floats bend) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     store(h, g);
     for (int d = 1; d <= DIRECTIONS; ++d) store(h + d * stride, slope * load(z + d * stride));
     for (int q = 0; q < PAIRS; ++q) {
@@ -112,7 +112,7 @@ auto push_sine = [&](Sines& layer, int i, float omega) {
 
 // From x through both layers to `raw`.
 auto run_network = [&]() {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int size = CHANNELS * width;
     for (int i = 0; i < LANES; ++i) {
         for (int c = 0; c < CHANNELS; ++c)

@@ -6,13 +6,13 @@ float* const slope_second_bias = slope_second + width * width;
 float* const slope_last = slope_second_bias + width;
 float* const slope_last_bias = slope_last + OUTPUTS * width;
 for (float* one = slope_first; one < slope_last_bias + OUTPUTS; ++one) *one = 0.f;
-float slope_raw[CHANNELS * OUTPUTS * LANES];               // ∂loss/∂raw
-float slope_x[CHANNELS * INPUTS * LANES];                  // ∂loss/∂x
-float slope_sines[2][ROWS * MOST_WIDTH];                   // ∂loss/∂after, then ∂loss/∂before
+float slope_raw[CHANNELS * OUTPUTS * LANES];  // ∂loss/∂raw
+float slope_x[CHANNELS * INPUTS * LANES];     // ∂loss/∂x
+float slope_sines[2][ROWS * MOST_WIDTH];      // ∂loss/∂after, then ∂loss/∂before
 
 // `push` in reverse: g, ∂loss/∂h, becomes ∂loss/∂z; twist is g'''.
 auto pull = [&](const float* z, float* g, int stride, Floats slope, Floats bend, Floats twist) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     Floats value = slope * load(g);
     for (int d = 1; d <= DIRECTIONS; ++d) {
         const int row = d * stride;
@@ -43,7 +43,7 @@ auto pull_sine = [&](const Sines& layer, int i, float omega, float* g) {
 
 // From `slope_raw` to `slope_x` and the sums over points that are ∂loss/∂(weights and biases).
 auto reverse_network = [&]() {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int size = CHANNELS * width;
     for (int o = 0; o < OUTPUTS; ++o) slope_last_bias[o] += total(load(slope_raw + o * LANES));
     for (int i = 0; i < LANES; ++i) {

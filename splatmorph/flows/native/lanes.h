@@ -5,8 +5,8 @@ typedef int Ints __attribute__((ext_vector_type(16)));
 
 // sin x, and cos x beside it.
 auto sine_cosine = [](Floats x, Floats& cosine) -> Floats {
-    // x = nπ + r, |r| ≤ π/2: (-1)ⁿ times the Taylor polynomials to r¹¹ and r¹² (6e-8 and 6e-9).
-    #pragma clang fp contract(fast)
+// x = nπ + r, |r| ≤ π/2: (-1)ⁿ times the Taylor polynomials to r¹¹ and r¹² (6e-8 and 6e-9).
+#pragma clang fp contract(fast)
     const Floats n = __builtin_elementwise_floor(x * 0.318309886f + 0.5f);
     const Floats r = (x - n * 3.140625f) - n * 9.67653589793e-4f, s = r * r;
     Floats p = s * -2.5052108e-8f + 2.7557319e-6f;
@@ -27,9 +27,10 @@ auto sine_cosine = [](Floats x, Floats& cosine) -> Floats {
 };
 
 auto exponential = [](Floats x) -> Floats {
-    // eˣ = 2ⁿ eʳ, |r| ≤ log(2)/2, with Taylor's polynomial to r⁶ (1e-7), clamped to finite floats.
-    #pragma clang fp contract(fast)
-    const Floats y = __builtin_elementwise_min(__builtin_elementwise_max(x, (Floats)-87.f), (Floats)88.f);
+// eˣ = 2ⁿ eʳ, |r| ≤ log(2)/2, with Taylor's polynomial to r⁶ (1e-7), clamped to finite floats.
+#pragma clang fp contract(fast)
+    const Floats y =
+        __builtin_elementwise_min(__builtin_elementwise_max(x, (Floats)-87.f), (Floats)88.f);
     const Floats n = __builtin_elementwise_floor(y * 1.44269504f + 0.5f);
     const Floats r = (y - n * 0.693359375f) + n * 2.12194440e-4f;
     Floats p = r * 1.3888889e-3f + 8.3333333e-3f;

@@ -2,12 +2,12 @@
 // Compiled once for each (DIM, JACOBIAN): the state of a point is x, and ∂Φ/∂x where asked.
 // v = affine part + spline over `count` centers + a SIREN with two hidden layers of `width`.
 constexpr int STATE = DIM + JACOBIAN * DIM * DIM;
-struct Arguments {                                     // the twin of path.py's
-    const float *starts;                               // points × DIM
-    const float *affine;                               // (1 + DIM) × DIM: velocity at 0, then slopes
-    const float *spline;                               // centers × (center, weight)
-    const float *network;                              // see below
-    float *states, *rates;                             // knots × points × STATE
+struct Arguments {          // the twin of path.py's
+    const float* starts;    // points × DIM
+    const float* affine;    // (1 + DIM) × DIM: velocity at 0, then slopes
+    const float* spline;    // centers × (center, weight)
+    const float* network;   // see below
+    float *states, *rates;  // knots × points × STATE
     long long points, centers, width, steps, every;
     double rounding_squared, h;
 };
@@ -18,8 +18,8 @@ const int count = given.centers, width = given.width;
 const float rounding_squared = given.rounding_squared, h = given.h;
 
 auto logarithm = [](Floats x) -> Floats {
-    // Cephes' polynomial on [sqrt(1/2), sqrt(2)): relative error 1e-7.
-    #pragma clang fp contract(fast)
+// Cephes' polynomial on [sqrt(1/2), sqrt(2)): relative error 1e-7.
+#pragma clang fp contract(fast)
     Ints bits = *(Ints*)&x;
     const Ints exponent = (bits - 0x3f3504f3) >> 23;
     bits -= exponent << 23;
@@ -33,16 +33,16 @@ auto logarithm = [](Floats x) -> Floats {
 };
 
 // The network is stored with its ω multiplied into the weights.
-const float* const first = given.network;               // width × (DIM weights, bias)
-const float* const second = first + width * (DIM + 1); // width × (width weights, bias)
-const float* const last = second + width * (width + 1);// width × DIM, then DIM biases
+const float* const first = given.network;                // width × (DIM weights, bias)
+const float* const second = first + width * (DIM + 1);   // width × (width weights, bias)
+const float* const last = second + width * (width + 1);  // width × DIM, then DIM biases
 
 // Layer 1 and its derivatives, [1 + JACOBIAN * DIM][MOST_WIDTH].
 constexpr int TANGENTS = JACOBIAN * DIM, BLOCK = 4;
 Floats hidden[1 + TANGENTS][MOST_WIDTH];
 
 auto rate = [&](const Floats* state, Floats* out) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     Floats v[DIM], slope[DIM][DIM];
     for (int i = 0; i < DIM; ++i) {
         v[i] = (Floats)affine[i];
@@ -126,7 +126,7 @@ auto rate = [&](const Floats* state, Floats* out) {
 const long begin = points * part / parts / LANES * LANES;
 const long end = part + 1 == parts ? points : points * (part + 1) / parts / LANES * LANES;
 for (long p = begin; p < end; p += LANES) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const int lanes = end - p < LANES ? (int)(end - p) : LANES;
     Floats x[STATE], k1[STATE], k[STATE], sum[STATE], next[STATE];
     for (int i = 0; i < DIM; ++i)
@@ -139,12 +139,24 @@ for (long p = begin; p < end; p += LANES) {
     };
     rate(x, k1);
     for (int n = 0; n < steps; ++n) {
-        if (every) { save(given.states, x, n); save(given.rates, k1, n); }
-        for (int i = 0; i < STATE; ++i) { sum[i] = k1[i]; next[i] = x[i] + 0.5f * h * k1[i]; }
+        if (every) {
+            save(given.states, x, n);
+            save(given.rates, k1, n);
+        }
+        for (int i = 0; i < STATE; ++i) {
+            sum[i] = k1[i];
+            next[i] = x[i] + 0.5f * h * k1[i];
+        }
         rate(next, k);
-        for (int i = 0; i < STATE; ++i) { sum[i] += 2.f * k[i]; next[i] = x[i] + 0.5f * h * k[i]; }
+        for (int i = 0; i < STATE; ++i) {
+            sum[i] += 2.f * k[i];
+            next[i] = x[i] + 0.5f * h * k[i];
+        }
         rate(next, k);
-        for (int i = 0; i < STATE; ++i) { sum[i] += 2.f * k[i]; next[i] = x[i] + h * k[i]; }
+        for (int i = 0; i < STATE; ++i) {
+            sum[i] += 2.f * k[i];
+            next[i] = x[i] + h * k[i];
+        }
         rate(next, k);
         for (int i = 0; i < STATE; ++i) x[i] += (h / 6.f) * (sum[i] + k[i]);
         if (every || n + 1 < steps) rate(x, k1);

@@ -1,24 +1,30 @@
 // The shapes of splats under a path of Jacobians, 8 splats at a time. The plain twin is
 // carried_shapes in covariance.py, which says what is computed and why.
 // Compiled once for each (STRETCH, Stored); doubles inside, for needles and pancakes.
-struct Arguments {                                     // the twin of shapes.py's
-    const Stored *quats_in, *log_scales_in;            // count × 4 and × 3
-    const Stored *jacobians;                           // knots × count × 3 × 3, `strides` apart
-    Stored *quats_out, *log_scales_out, *turns_out;    // knots × count × 4, × 3 and × 4
+struct Arguments {                                   // the twin of shapes.py's
+    const Stored *quats_in, *log_scales_in;          // count × 4 and × 3
+    const Stored* jacobians;                         // knots × count × 3 × 3, `strides` apart
+    Stored *quats_out, *log_scales_out, *turns_out;  // knots × count × 4, × 3 and × 4
     long long knots, count, strides[4];
 };
 const Arguments& given = *(const Arguments*)arguments;
 constexpr int LANES = 8;
 typedef double Doubles __attribute__((ext_vector_type(8)));
 typedef decltype(Doubles() < Doubles()) Words;
-struct Matrix { Doubles at[3][3]; };
-struct Quat { Doubles at[4]; };
+struct Matrix {
+    Doubles at[3][3];
+};
+struct Quat {
+    Doubles at[4];
+};
 
 auto all = [](double x) -> Doubles { return (Doubles)x; };
 auto root = [](Doubles x) { return __builtin_elementwise_sqrt(x); };
 auto size = [](Doubles x) { return __builtin_elementwise_abs(x); };
 auto any = [](Words mask) -> bool { return __builtin_reduce_or(mask) != 0; };
-auto dot = [](const Doubles* a, const Doubles* b) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; };
+auto dot = [](const Doubles* a, const Doubles* b) {
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+};
 
 auto cofactors = [](const Matrix& m) -> Matrix {
     Matrix c;
@@ -73,11 +79,10 @@ auto polar_rotation = [&](const Matrix& jacobian) -> Matrix {
 // Shepperd's choice, on the side of `before`.
 auto quaternion_of = [&](const Matrix& m, const Quat& before) -> Quat {
     const auto& [a, b, c] = m.at;
-    const Doubles rows[4][4] = {
-        {1 + a[0] + b[1] + c[2], c[1] - b[2], a[2] - c[0], b[0] - a[1]},
-        {c[1] - b[2], 1 + a[0] - b[1] - c[2], a[1] + b[0], a[2] + c[0]},
-        {a[2] - c[0], a[1] + b[0], 1 - a[0] + b[1] - c[2], b[2] + c[1]},
-        {b[0] - a[1], a[2] + c[0], b[2] + c[1], 1 - a[0] - b[1] + c[2]}};
+    const Doubles rows[4][4] = {{1 + a[0] + b[1] + c[2], c[1] - b[2], a[2] - c[0], b[0] - a[1]},
+                                {c[1] - b[2], 1 + a[0] - b[1] - c[2], a[1] + b[0], a[2] + c[0]},
+                                {a[2] - c[0], a[1] + b[0], 1 - a[0] + b[1] - c[2], b[2] + c[1]},
+                                {b[0] - a[1], a[2] + c[0], b[2] + c[1], 1 - a[0] - b[1] + c[2]}};
     Quat q;
     Doubles largest = all(-1);
     for (int r = 0; r < 4; ++r) {
@@ -86,7 +91,10 @@ auto quaternion_of = [&](const Matrix& m, const Quat& before) -> Quat {
         for (int i = 0; i < 4; ++i) q.at[i] = better ? rows[r][i] : q.at[i];
     }
     Doubles squared = all(0), along = all(0);
-    for (int i = 0; i < 4; ++i) { squared += q.at[i] * q.at[i]; along += q.at[i] * before.at[i]; }
+    for (int i = 0; i < 4; ++i) {
+        squared += q.at[i] * q.at[i];
+        along += q.at[i] * before.at[i];
+    }
     const Doubles length = root(squared), factor = 1 / (along < 0 ? -length : length);
     for (int i = 0; i < 4; ++i) q.at[i] *= factor;
     return q;
@@ -101,7 +109,7 @@ auto product = [](const Quat& left, const Quat& right) -> Quat {
 
 // Turn the axes until the rows of columns[axis] are orthogonal, by the least angles that do.
 auto orthogonalise = [&](Doubles (&columns)[3][3], Quat& axes) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     for (int n = 0; n < SWEEPS; ++n) {
         bool rested = true;
         for (int i = 0; i < 3; ++i) {
@@ -134,7 +142,7 @@ const long count = given.count;
 const long groups = (count + LANES - 1) / LANES;
 const long end = groups * (part + 1) / parts;
 for (long group = groups * part / parts; group < end; ++group) {
-    #pragma clang fp contract(fast)
+#pragma clang fp contract(fast)
     const long first = group * LANES;
     const int lanes = count - first < LANES ? (int)(count - first) : LANES;
     auto place = [&](int lane) -> long { return first + (lane < lanes ? lane : 0); };
