@@ -26,6 +26,11 @@ FOV = 30.0
 MARGIN = 1.05
 """Room left around the object, as a factor on its radius."""
 
+LARGEST_FILE = 16 << 20
+"""Bytes of a camera file."""
+LARGEST_SIDE = 1 << 15
+"""Pixels of a picture's side in a camera file."""
+
 # The axes (right, up, front) of an object that stands upright under each convention.
 UPRIGHT: Mapping[str, Array] = {
     "y": np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]], float),
@@ -215,19 +220,32 @@ def read_transforms(path: str | Path, *, size: tuple[int, int] | None = None) ->
     """
     path = Path(path)
     try:
+        if path.exists() and not path.is_file():
+            raise CameraFileError(f"{path}: is no file, expected a transforms.json")
+        if path.stat().st_size > LARGEST_FILE:
+            raise CameraFileError(f"{path}: is larger than {LARGEST_FILE >> 20} MB")
         content = json.loads(path.read_text(encoding="utf-8"))
         frames = content["frames"]
         cameras = [_camera_of_frame({**content, **frame}, size) for frame in frames]
     except OSError as error:
         raise CameraFileError(f"{path}: can't be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else error
+    except CameraFileError:
+        raise
+    except Exception as error:  # JSON can hold anything, and numbers of any size
         raise CameraFileError(
-            f"{path}: no transforms.json of NeRF or nerfstudio: {reason}"
+            f"{path}: no transforms.json of NeRF or nerfstudio: {_reason(error)}"
         ) from error
     if not cameras:
         raise CameraFileError(f"{path}: has no frames; expected at least one")
     return cameras
+
+
+def _reason(error: Exception) -> str:
+    if isinstance(error, KeyError):
+        return f"no {error}"
+    if isinstance(error, RecursionError):
+        return "it nests too deep"
+    return next(iter(str(error).splitlines()), type(error).__name__)[:160]
 
 
 def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> Camera:
@@ -238,6 +256,8 @@ def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> 
         raise ValueError("fisheye cameras are not supported, only pinholes")
     if "w" in frame and "h" in frame:
         width, height = int(frame["w"]), int(frame["h"])
+        if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
+            raise ValueError(f"pictures of {width}x{height}, expected 1 to {LARGEST_SIDE} a side")
     elif size is not None:
         width, height = size
     else:
@@ -246,7 +266,10 @@ def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> 
         fx = float(frame["fl_x"])
         fy = float(frame.get("fl_y", fx))
     else:
-        fx = fy = width / 2 / math.tan(float(frame["camera_angle_x"]) / 2)
+        angle = float(frame["camera_angle_x"])
+        if not 0 < angle < math.pi:
+            raise ValueError(f"camera_angle_x is {angle:.3g}, expected radians between 0 and π")
+        fx = fy = width / 2 / math.tan(angle / 2)
     K = np.array(
         [
             [fx, 0, float(frame.get("cx", width / 2))],
@@ -254,10 +277,14 @@ def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> 
             [0, 0, 1],
         ]
     )
+    if not (np.isfinite(K).all() and fx > 0 and fy > 0):
+        raise ValueError(f"focal lengths {fx:.3g} and {fy:.3g}, expected finite and above 0")
     camera_to_world: Array = np.eye(4)
     camera_to_world[: len(matrix)] = matrix
     # OpenGL's y and z axes are OpenCV's, turned round.
     camera_to_world[:3, 1:3] *= -1
     viewmat = np.asarray(np.linalg.inv(camera_to_world), np.float64)
+    if not np.isfinite(viewmat).all():
+        raise ValueError("transform_matrix can't be inverted")
     camera = Camera(viewmat, K, width, height)
     return camera if size is None else camera.resized(*size)

@@ -2,7 +2,8 @@
 
 SplatmorphError                 one line: what was found, what was expected, what to do
 ├── ReadError                   a file that can't be read as what it should be
-│   └── LocalFrameError         a triangle-local avatar where a world-space splat was expected
+│   ├── LocalFrameError         a triangle-local avatar where a world-space splat was expected
+│   └── TooLargeError           a file that says it is larger than the limit that was given
 ├── WriteError                  an output that can't be written; nothing half-written is left
 │   └── OutputExistsError       an output that is already there
 ├── LandmarkError               points that don't match, repeat, or lie where they can't
@@ -28,6 +29,10 @@ class ReadError(SplatmorphError):
 
 class LocalFrameError(ReadError):
     """A triangle-local avatar (GaussianAvatars) where a world-space splat was expected."""
+
+
+class TooLargeError(ReadError):
+    """A file that says it is larger than the limit that was given."""
 
 
 class WriteError(SplatmorphError):

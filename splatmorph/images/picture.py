@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from splatmorph.errors import MissingExtraError, ReadError
+from splatmorph.errors import MissingExtraError, ReadError, TooLargeError
 from splatmorph.images.canvas import Canvas
+from splatmorph.io.reading import reading, require_file
 
 Pixels = np.ndarray[Any, np.dtype[Any]]
 DEPTHS: dict[np.dtype[Any], float] = {
@@ -24,6 +26,11 @@ DEPTHS: dict[np.dtype[Any], float] = {
     np.dtype(np.float32): 1.0,
 }
 """The value that means white, for each type a pixel may have."""
+
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
+"""Of Pillow's; others are rare, and some run other programs."""
+MOST_PIXELS = 50_000_000
+"""Of a picture, unless the caller says otherwise: what phones take."""
 
 BITS_PER_SAMPLE = 258
 """The TIFF tag."""
@@ -109,51 +116,72 @@ class Picture:
         return np.repeat(pixels, 3, axis=2) if self.channels == 1 else pixels
 
     @staticmethod
-    def read(path: str | Path) -> Picture:
-        """Read a picture: any still format of Pillow, 8 or 16 bit, turned upright by its EXIF.
+    def read(path: str | Path, most_pixels: int = MOST_PIXELS) -> Picture:
+        """Read a still picture of one of ``FORMATS``, 8 or 16 bit, turned upright by its EXIF.
 
         Colours of 16 bits a channel are read by OpenCV, since Pillow would cut them to 8.
 
         Raises:
-            ReadError: the file is missing, no picture, damaged, animated, or too large.
+            ReadError: the file is missing, no picture, damaged or animated.
+            TooLargeError: it has more than ``most_pixels`` pixels.
             MissingExtraError: 16-bit colours without OpenCV.
         """
         path = Path(path)
-        try:
-            with warnings.catch_warnings():
-                # Pillow warns of large pictures before it refuses larger ones.
-                warnings.simplefilter("ignore", Image.DecompressionBombWarning)
-                with Image.open(path) as image:
-                    return Picture(_decode(image, path))
-        except UnidentifiedImageError as error:
-            raise ReadError(f"{path} is no picture that we can read: give PNG, JPEG…") from error
-        except Image.DecompressionBombError as error:
-            raise ReadError(f"{path} is too large a picture ({error}): reduce it first") from error
-        except OSError as error:
-            raise ReadError(f"can't read {path}: {error.strerror or error}") from error
-        except (ValueError, SyntaxError) as error:
-            raise ReadError(f"{path} is a damaged picture: {error}") from error
+        require_file(path)
+        with reading(path, "picture"), _no_limit_of_pillow():
+            try:
+                Image.init()
+                known = [name for name in FORMATS if name in Image.OPEN]
+                with Image.open(path, formats=known) as image:
+                    return Picture(_decode(image, path, most_pixels))
+            except UnidentifiedImageError as error:
+                raise ReadError(
+                    f"{path} is no picture that we can read: give one of {', '.join(FORMATS)}"
+                ) from error
 
 
-def _decode(image: Image.Image, path: Path) -> Pixels:
-    frames = getattr(image, "n_frames", 1)
-    if frames > 1:
-        raise ReadError(f"{path} is animated ({frames} frames), expected one picture: extract one")
+@contextlib.contextmanager
+def _no_limit_of_pillow() -> Iterator[None]:
+    """Ours is checked instead, which can be given; Pillow's warnings are of no use to anyone."""
+    limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
+def _decode(image: Image.Image, path: Path, most_pixels: int) -> Pixels:
+    width, height = image.size
+    if width * height > most_pixels:
+        raise TooLargeError(
+            f"{path} has {width}x{height} pixels, expected at most {most_pixels:,} in all: reduce "
+            "it first, or raise the limit"
+        )
+    # The second picture of an MPO, as cameras write it, is a preview.
+    if getattr(image, "is_animated", False) and image.format != "MPO":
+        raise ReadError(f"{path} is animated, expected one picture: extract one")
     if _bits(image) == 16 and image.mode not in ("I;16", "I;16B", "I;16L", "I"):
         return _turned(_read_deep_colour(path), image)
     if image.mode.startswith("I"):
-        # 16-bit grey; what Pillow opens as 32-bit integers is 16-bit grey as well.
-        grey = np.asarray(image).astype(np.int64)
-        if grey.min() < 0 or grey.max() > 65535:
-            raise ReadError(f"{path} holds values beyond 16 bits: convert it to 16-bit grey")
-        return _turned(grey.astype(np.uint16)[..., None], image)
+        return _turned(_grey(image, path)[..., None], image)
     if image.mode == "F":
         raise ReadError(f"{path} holds floating-point values: convert it to 8 or 16 bits")
     mode = "L" if image.mode in ("1", "L") else "RGB"
     if image.has_transparency_data:
         mode = "RGBA"
-    pixels = np.asarray(ImageOps.exif_transpose(image).convert(mode))
+    ImageOps.exif_transpose(image, in_place=True)
+    pixels = np.array(image if image.mode == mode else image.convert(mode))
     return pixels[..., None] if mode == "L" else pixels
+
+
+def _grey(image: Image.Image, path: Path) -> Pixels:
+    """16 bits; what Pillow opens as 32-bit integers is 16-bit grey as well."""
+    grey = np.array(image)
+    if grey.min() < 0 or grey.max() > 65535:
+        raise ReadError(f"{path} holds values beyond 16 bits: convert it to 16-bit grey")
+    return grey.astype(np.uint16, copy=False)
 
 
 def _bits(image: Image.Image) -> int:

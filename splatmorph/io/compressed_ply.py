@@ -75,7 +75,8 @@ def unpack(elements: Mapping[str, Columns], path: str | Path) -> Gaussians:
     def between(word: str, fractions: Array) -> Array:
         if word not in bounds:
             return fractions
-        ends = np.stack([chunk[name] for name in bounds[word]], axis=1).astype(np.float64)
+        used = [chunk[name][: -(-n // CHUNK)] for name in bounds[word]]
+        ends = np.stack(used, axis=1).astype(np.float64)
         low, high = np.repeat(ends, CHUNK, axis=0)[:n].reshape(n, 2, 3).transpose(1, 0, 2)
         return low + (high - low) * fractions
 

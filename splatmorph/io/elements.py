@@ -60,8 +60,12 @@ def write_elements(
     with atomic_write(path) as partial, partial.open("wb") as stream:
         stream.write("\n".join([*lines, "end_header", ""]).encode("ascii"))
         for records in elements.values():
-            little = records.astype(records.dtype.newbyteorder("<"), copy=False)
-            stream.write(np.ascontiguousarray(little).data)
+            _put(stream, records)
+
+
+def _put(stream: BinaryIO, records: Records) -> None:
+    little = records.astype(records.dtype.newbyteorder("<"), copy=False)
+    stream.write(np.ascontiguousarray(little).data)
 
 
 def _one_line(text: str) -> str:

@@ -113,4 +113,6 @@ def restore_largest(index: NDArray[Any], rest: Array) -> Array:
 
 
 def _tensor(values: NDArray[Any]) -> torch.Tensor:
-    return torch.from_numpy(np.array(values, np.float32, order="C"))
+    # Copied where it lies in the bytes of a file, which can't be written to.
+    kept = np.require(values, np.float32, ["C", "W"])
+    return torch.from_numpy(kept)

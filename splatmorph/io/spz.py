@@ -7,13 +7,14 @@ is a stream of zstandard for each attribute. https://github.com/nianticlabs/spz
 
 from __future__ import annotations
 
+import contextlib
 import gzip
 import math
 import struct
 import zlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from splatmorph.errors import ReadError, WriteError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.checks import check_count
+from splatmorph.io.inflate import Gunzip, check_promise, unzstd
 from splatmorph.io.packed import (
     Array,
     Bytes,
@@ -40,6 +42,9 @@ GZIP = b"\x1f\x8b"
 READ, WRITTEN, LAST_GZIP, LAST_THREE_BYTE_QUATS = (2, 3, 4), 3, 3, 2
 STREAM = struct.Struct("<QQ")
 STREAMS_AT = 16
+
+MOST_BEYOND = 1 << 20
+"""Bytes that may follow the attributes: extensions."""
 
 LARGEST_FIXED = 2**23 - 1
 # Some readers refuse others.
@@ -80,23 +85,27 @@ def read_spz(path: str | Path) -> Gaussians:
         ReadError: see :func:`splatmorph.io.read`.
     """
     path = Path(path)
-    data, header = _unzipped(path)
-    body = data[HEADER.size :] if header.version <= LAST_GZIP else _inflated(data, header, path)
-    if len(body) < sum(header.sizes):
-        raise _broken(path)
-    ends = pairwise(accumulate(header.sizes, initial=0))
-    parts = [np.frombuffer(body[begin:end], np.uint8) for begin, end in ends]
+    with _whole(path):
+        header, body = _unzipped(path)
     n = header.splats
-    positions, alphas, colours, scales, quats, harmonics = (part.reshape(n, -1) for part in parts)
-    dc = (colours / 255 - 0.5) / COLOUR_RANGE
-    rest = (harmonics / 128.0 - 1).reshape(n, (header.degree + 1) ** 2 - 1, 3)
+    begins = accumulate(header.sizes, initial=0)
+    positions, alphas, colours, scales, quats, harmonics = (
+        np.frombuffer(body, np.uint8, size, begin).reshape(n, -1)
+        for begin, size in zip(begins, header.sizes, strict=False)
+    )
+    sh = np.empty((n, (header.degree + 1) ** 2, 3), np.float32)
+    sh[:, 0] = (colours / 255 - 0.5) / COLOUR_RANGE
+    # Exact in single precision, which keeps the largest part small.
+    sh[:, 1:] = harmonics.reshape(n, -1, 3)
+    sh[:, 1:] -= 128
+    sh[:, 1:] /= 128
     return unpacked(
         path,
         means=_from_fixed(positions, header.fraction_bits),
         quats=_quats(quats),
         log_scales=scales / 16.0 - 10,
         opacities=alphas[:, 0] / 255,
-        sh=np.concatenate([dc[:, None], rest], axis=1),
+        sh=sh,
     )
 
 
@@ -106,7 +115,9 @@ def spz_layout(path: str | Path) -> str:
     Raises:
         ReadError: see :func:`splatmorph.io.read`.
     """
-    return f"SPZ {_unzipped(Path(path))[1].version} of Niantic"
+    path = Path(path)
+    with _whole(path):
+        return f"SPZ {_unzipped(path)[0].version} of Niantic"
 
 
 def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -145,21 +156,40 @@ def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
         partial.write_bytes(gzip.compress(body, compresslevel=6, mtime=0))
 
 
-def _unzipped(path: Path) -> tuple[bytes, Header]:
+@contextlib.contextmanager
+def _whole(path: Path) -> Iterator[None]:
+    import zstandard
+
+    try:
+        yield
+    except (EOFError, ValueError, zlib.error, struct.error, zstandard.ZstdError) as error:
+        raise ReadError(
+            f"{path} is no whole SPZ file: it is truncated or damaged; download or export it again"
+        ) from error
+
+
+def _unzipped(path: Path) -> tuple[Header, bytes]:
+    """What the file holds, and the attributes of all splats, one after the other."""
     data = read_bytes(path)
-    if data.startswith(GZIP):
-        try:
-            data = gzip.decompress(data)
-        except (EOFError, OSError, zlib.error) as error:
-            raise _broken(path) from error
-    return data, _header(data, path)
+    if not data.startswith(GZIP):
+        header = _header(data, path)
+        body = data[HEADER.size :] if header.version <= LAST_GZIP else _inflated(data, header)
+    else:
+        stream = Gunzip(data)
+        header = _header(stream.read(HEADER.size), path)
+        body = stream.rest(sum(header.sizes) + MOST_BEYOND)
+        if header.version > LAST_GZIP:
+            raise ValueError("versions from 4 are no gzip stream")
+    if len(body) < sum(header.sizes):
+        raise EOFError
+    return header, body
 
 
 def _header(data: bytes, path: Path) -> Header:
     if not data.startswith(MAGIC):
         raise ReadError(f"{path} is no SPZ file: expected it to start with {MAGIC.decode()}")
     if len(data) < HEADER.size:
-        raise _broken(path)
+        raise EOFError
     _, version, splats, degree, bits, _, streams = HEADER.unpack_from(data)
     if version not in READ:
         raise ReadError(
@@ -172,27 +202,26 @@ def _header(data: bytes, path: Path) -> Header:
             "export it again"
         )
     check_count(splats, path)
-    return Header(version, splats, degree, bits, streams)
+    header = Header(version, splats, degree, bits, streams)
+    check_promise(sum(header.sizes), path)
+    return header
 
 
-def _inflated(data: bytes, header: Header, path: Path) -> bytes:
+def _inflated(data: bytes, header: Header) -> bytes:
     """The attributes of version 4, one after the other; empty ones have no stream."""
-    import zstandard
-
-    try:
-        (table,) = struct.unpack_from("<I", data, STREAMS_AT)
-        begin = table + header.streams * STREAM.size
-        parts = []
-        for i in range(header.streams):
-            packed, size = STREAM.unpack_from(data, table + i * STREAM.size)
-            if size not in header.sizes:
-                raise _broken(path)
-            frame = data[begin : begin + packed]
-            parts.append(zstandard.ZstdDecompressor().decompress(frame, max_output_size=size))
-            begin += packed
-        return b"".join(parts)
-    except (struct.error, zstandard.ZstdError, MemoryError) as error:
-        raise _broken(path) from error
+    (table,) = struct.unpack_from("<I", data, STREAMS_AT)
+    begin = table + header.streams * STREAM.size
+    sizes = [size for size in header.sizes if size]
+    if header.streams < len(sizes):
+        raise ValueError("too few streams")
+    parts = []
+    for i, size in enumerate(sizes):
+        packed, promised = STREAM.unpack_from(data, table + i * STREAM.size)
+        if promised != size:
+            raise ValueError("a stream of another size")
+        parts.append(unzstd(data[begin : begin + packed], size))
+        begin += packed
+    return b"".join(parts)
 
 
 def _from_fixed(stored: Bytes, bits: int) -> Array:
@@ -224,9 +253,3 @@ def _quat_bytes(quats: Array) -> Bytes:
     fields = np.minimum(sizes, QUAT_STEPS) | (rest < 0) * (QUAT_STEPS + 1)
     words = index << 3 * QUAT_BITS | (fields << np.array([2, 1, 0]) * QUAT_BITS).sum(axis=1)
     return words.astype("<u4").view(np.uint8)
-
-
-def _broken(path: Path) -> ReadError:
-    return ReadError(
-        f"{path} is no whole SPZ file: it is truncated or damaged; download or export it again"
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -10,14 +9,16 @@ from pathlib import Path
 from typing import Any
 
 from splatmorph import io
-from splatmorph.errors import OutputExistsError, WriteError
+from splatmorph.errors import OutputExistsError, ReadError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import make_folder, remove_partials, write_json
+from splatmorph.io.reading import read_json
 from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain
 
 INDEX = "frames.json"
 PLAN = ".frames.unfinished.json"
+ROW = ("splats", "pruned", "moved")
 
 FAINTEST_DRAWN = 1 / 255
 """Rasterizers skip what is fainter, so that dropping it changes no picture."""
@@ -126,10 +127,9 @@ def _done_before(
     folder: Path, plan: dict[str, Any], files: Sequence[Path], overwrite: bool
 ) -> dict[int, dict[str, float]]:
     """Frames of the same export that are there already; makes room where that is allowed."""
-    unfinished = _read_json(folder / PLAN)
-    if unfinished is not None and {k: unfinished.get(k) for k in plan} == plan:
-        done = {int(i): row for i, row in unfinished.get("done", {}).items()}
-        return {i: row for i, row in done.items() if files[i].is_file()}
+    done = _unfinished(folder, plan)
+    if done is not None:
+        return {i: row for i, row in done.items() if i < len(files) and files[i].is_file()}
     earlier = sorted(f for f in folder.glob("morph_*") if io.extension_of(f) in io.FORMATS)
     if earlier and not overwrite:
         raise OutputExistsError(
@@ -148,9 +148,16 @@ def _drawn(gaussians: Gaussians) -> Gaussians:
     return gaussians.select(gaussians.opacities >= FAINTEST_DRAWN)
 
 
-def _read_json(path: Path) -> dict[str, Any] | None:
+def _unfinished(folder: Path, plan: dict[str, Any]) -> dict[int, dict[str, float]] | None:
+    """The rows of the frames that the same plan has written; None where it is another's."""
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        stored = read_json(folder / PLAN)
+        if {name: stored[name] for name in plan} != plan:
+            return None
+        return {
+            int(i): {name: float(row[name]) if name == "moved" else int(row[name]) for name in ROW}
+            for i, row in stored["done"].items()
+            if i.isdecimal()
+        }
+    except (ReadError, LookupError, TypeError, ValueError, AttributeError, OverflowError):
         return None
-    return value if isinstance(value, dict) else None

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
@@ -20,22 +19,26 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError
 from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
-from splatmorph.errors import OptionError, RunError
+from splatmorph.errors import OptionError, ReadError, RunError
 from splatmorph.fitting import FitReport
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
+from splatmorph.io.reading import read_json, reading
+from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain, average
 from splatmorph.runs.inputs import Input, fingerprint, load_splat
 from splatmorph.runs.state import drop_states, has_state
 
 FORMAT = 1
+SIDES = ("source", "target")
+MOST_STEPS = 10_000
+"""Integers of a flow's options that are no sizes are below this."""
 MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"
 
 
@@ -202,34 +205,25 @@ def open_run(folder: str | Path) -> Run:
         )
     report = _read_json(folder, REPORT)
     weights = folder / WEIGHTS
-    try:
-        if fingerprint((weights,)) != manifest["weights_sha256"]:
+    with reading(weights, "file of weights", error=RunError, remedy="fit it again"):
+        if fingerprint((weights,)) != manifest.get("weights_sha256"):
             raise RunError(
                 f"{weights} is not what {MANIFEST} was written with (an interrupted overwrite, "
                 "or a foreign file): fit it again"
             )
         tensors = load_file(weights)
+    with reading(folder, "run directory", error=RunError, remedy="fit it again"):
         legs = tuple(
             _leg(i, stored, tensors, leg_report)
             for i, (stored, leg_report) in enumerate(
                 zip(manifest["legs"], report["legs"], strict=True)
             )
         )
-        inputs = tuple(
-            Source(
-                str(one["name"]),
-                (folder.resolve() / one["path"]).resolve(),
-                str(one["sha256"]),
-                dict(one["options"]),
-            )
-            for one in manifest["inputs"]
-        )
-        return Run(inputs, legs, manifest["options"], folder)
-    except OSError as error:
-        raise RunError(f"can't read {weights}: {error.strerror or error}") from error
-    except (KeyError, TypeError, ValueError, RuntimeError, SafetensorError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise RunError(f"{folder} is damaged or not ours ({reason}): fit it again") from error
+        inputs = tuple(_source(folder, one) for one in manifest["inputs"])
+        run = Run(inputs, legs, dict(manifest["options"]), folder)
+        if len(inputs) < 2 or len(legs) != len(inputs) - (not run.is_mean):
+            raise ValueError(f"{len(legs)} flows for {len(inputs)} inputs")
+        return run
 
 
 def load_run(folder: str | Path, **options: Any) -> Morph | Chain:
@@ -243,17 +237,48 @@ def load_run(folder: str | Path, **options: Any) -> Morph | Chain:
 
 
 def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg:
-    flow = flow_from_config(stored["flow"])
     prefix = f"{i}."
     own = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
+    _check_sizes(stored["flow"], own)
+    flow = flow_from_config(stored["flow"])
     flow.load_state_dict(own)
-    return Leg(
-        flow,
-        torch.tensor(stored["source_points"], dtype=torch.float64),
-        torch.tensor(stored["target_points"], dtype=torch.float64),
-        tuple(stored["names"]),
-        report,
-    )
+    names = tuple(str(name) for name in stored["names"])
+    points = [
+        Landmarks(torch.tensor(stored[f"{side}_points"], dtype=torch.float64), names)
+        for side in SIDES
+    ]
+    if any(side.dim != flow.dim for side in points):
+        raise ValueError(f"landmarks of {points[0].dim} dimensions and a flow of {flow.dim}")
+    _check_report(report)
+    return Leg(flow, points[0].points, points[1].points, names, report)
+
+
+def _check_sizes(config: Mapping[str, Any], weights: Mapping[str, Tensor]) -> None:
+    """Refuse a flow that says it is larger than its weights, before it is made."""
+    held = sum(tensor.numel() for tensor in weights.values())
+    numbers = [value for value in config.values() if isinstance(value, int)]
+    if not all(0 <= number <= max(held, MOST_STEPS) for number in numbers):
+        raise ValueError("a flow larger than its weights")
+    if not all(torch.isfinite(tensor).all() for tensor in weights.values()):
+        raise ValueError("weights that aren't finite")
+
+
+def _check_report(report: Mapping[str, Any]) -> None:
+    """Refuse a report without what others look for in it."""
+    numbers = [report[name] for name in ("landmarks", "mse_world", "det_min", "seconds")]
+    errors = report["errors"]
+    if not errors or not all(isinstance(x, int | float) for x in (*numbers, *errors.values())):
+        raise TypeError("a report of no numbers")
+    bool(report["interrupted"])
+
+
+def _source(folder: Path, stored: Mapping[str, Any]) -> Source:
+    options = dict(stored["options"])
+    kinds = {"frame": int, "pose": str, "landmarks_set": str, "flame": str, "mesh": str}
+    if not all(isinstance(value, kinds.get(name, ())) for name, value in options.items()):
+        raise TypeError(f"unknown options of an input ({', '.join(options)})")
+    path = (folder.resolve() / stored["path"]).resolve()
+    return Source(str(stored["name"]), path, str(stored["sha256"]), options)
 
 
 def _load_again(source: Source) -> Input:
@@ -280,9 +305,9 @@ def _read_json(folder: Path, name: str) -> dict[str, Any]:
         hint = "fit again with `resume` to finish it" if unfinished else "fit again"
         raise RunError(f"{folder} is no complete run (no {name}): {hint}")
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RunError(f"{path} is damaged ({error}): fit again") from error
+        value = read_json(path)
+    except ReadError as error:
+        raise RunError(f"{error}: fit again") from error
     if not isinstance(value, dict):
         raise RunError(f"{path} holds no JSON object: fit again")
     return value

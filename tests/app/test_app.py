@@ -10,16 +10,17 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import pytest
 import torch
 from PIL import Image
-from plyfile import PlyData
 
 from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
+from splatmorph.io import elements
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.run import open_run
 
@@ -309,16 +310,15 @@ def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
 def test_a_full_disk_leaves_whole_frames_that_the_next_export_keeps(
     fitted: Path, cli: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    genuine, calls = PlyData.write, []
+    genuine, calls = elements._put, []
 
-    def full(self: PlyData, stream: Path) -> None:
-        calls.append(stream)
+    def full(stream: BinaryIO, records: elements.Records) -> None:
+        calls.append(records)
         if len(calls) == 3:
-            Path(stream).write_bytes(b"ply\nhalf")
             raise OSError(errno.ENOSPC, "No space left on device")
-        genuine(self, stream)
+        genuine(stream, records)
 
-    monkeypatch.setattr(PlyData, "write", full)
+    monkeypatch.setattr(elements, "_put", full)
     failed(cli("export", fitted, "-o", "out"), "morph_0002.ply: the disk is full")
     assert sorted(file.name for file in Path("out").glob("*.ply")) == [
         "morph_0000.ply",
