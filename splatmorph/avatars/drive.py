@@ -25,6 +25,7 @@ from splatmorph.avatars.triangles import triangle_frames
 from splatmorph.errors import OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
 from splatmorph.morph.ramps import EASES
 
@@ -44,6 +45,7 @@ class Drive:
         track: what moves them; see ``Track.read``.
         whole_head: also take the rotation and translation of the whole head. They are left out
             otherwise, for the heads to stay before the camera and their shading to stay right.
+        frame: where the target stands, seen from the source.
         options: those of ``Morph`` (ramp, covariance, ease, …).
 
     Raises:
@@ -59,6 +61,7 @@ class Drive:
         *,
         whole_head: bool = False,
         ease: str = "linear",
+        frame: Similarity | None = None,
         **options: Any,
     ) -> None:
         for avatar in (source, target):
@@ -70,9 +73,12 @@ class Drive:
                 )
         self.track = track
         self.flow = flow
+        self._frame = frame or Similarity.identity()
         self._whole_head = whole_head
         self._flame, self._rests = _common_heads(source, target)
-        self._morph = Morph(_marked(source), _marked(target), flow, ease=ease, **options)
+        self._morph = Morph(
+            _marked(source), _marked(target), flow, ease=ease, frame=self._frame, **options
+        )
         self._ease = EASES[ease]
 
     def frames(self, count: int) -> list[int]:
@@ -110,12 +116,17 @@ class Drive:
     def _meshes(self, times: Sequence[float]) -> Tensor:
         """(T, V, 3) the blended canonical mesh at each time."""
         eased = [self._ease(t) for t in times]
+        first, second = self._rests
         with torch.no_grad():
             # A head that has faded out stays at the other's end, as its splats do.
-            source = self.flow.trajectory(self._rests[0], [min(t, 1.0) for t in eased])
-            target = self.flow.trajectory(self._rests[1], [max(t - 1, -1.0) for t in eased])
+            source = self.flow.trajectory(first, [min(t, 1.0) for t in eased])
+            aligned = self._frame.inverse()(second)
+            target = self.flow.trajectory(aligned, [max(t - 1, -1.0) for t in eased])
         weight = torch.tensor(eased, dtype=source.dtype).clamp(0, 1)[:, None, None]
-        return (1 - weight) * source + weight * target
+        meshes = (1 - weight) * source + weight * target
+        return torch.stack(
+            [self._frame.power(t)(mesh) for t, mesh in zip(eased, meshes, strict=True)]
+        )
 
     def _pose(self, frame: int) -> Pose:
         pose = replace(self.track.pose(frame), offset=None)

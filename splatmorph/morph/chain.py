@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from functools import reduce
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 import torch
 
 from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.alignment import similarity_between
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import FEWEST, Landmarks
 from splatmorph.morph.morph import Morph, check_times, chosen
 from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
@@ -22,7 +25,7 @@ class Chain:
     """Morphs end to end, A → B → C …, as one morph with t from 0 at A to n - 1 at the n-th.
 
     At a whole t it is that splat itself, bit for bit; below 0 and above n - 1 the first and the
-    last morph go on.
+    last morph go on. Where the legs stay in their source's place, the chain stays in the first's.
 
     Arguments:
         morphs: the legs in order, each with the target of the one before as its source. An ease
@@ -38,9 +41,13 @@ class Chain:
         for before, after in pairwise(morphs):
             if before.target is not after.source:
                 raise ValueError("each morph of a chain begins with the splat where one ended")
+        if len({morph.stay for morph in morphs}) > 1:
+            raise ValueError("the legs of a chain stay in place all or none")
         if len(morphs) > 1 and any(morph.stable_count for morph in morphs):
             raise OptionError("a chain of several morphs has no stable count: export them singly")
         self.morphs = tuple(morphs)
+        steps = (morph.frame.inverse() for morph in morphs[:-1])
+        self._places = list(accumulate(steps, Similarity.__matmul__, initial=Similarity.identity()))
 
     def at(self, t: float) -> Gaussians:
         """The chain at t in [0, n - 1], or beyond."""
@@ -56,7 +63,14 @@ class Chain:
             )
             for leg in set(legs)
         }
-        return (next(frames[leg]) for leg in legs)
+        return (self._placed(next(frames[leg]), leg) for leg in legs)
+
+    def _placed(self, frame: Gaussians, leg: int) -> Gaussians:
+        if leg == 0 or not self.morphs[0].stay:
+            return frame
+        first = self.morphs[0].source
+        moved = frame.moved(self._places[leg])
+        return replace(moved, up=first.up or moved.up, offset=first.offset)
 
 
 def average(
@@ -64,6 +78,7 @@ def average(
     flows: Sequence[Flow],
     weights: Sequence[float] | None = None,
     *,
+    frames: Sequence[Similarity] | None = None,
     ramp: str = DEFAULT_RAMP,
     covariance: str = DEFAULT_COVARIANCE,
 ) -> Gaussians:
@@ -74,6 +89,7 @@ def average(
         flows: as many; each carries its splat at t = 1 to the shape they have in common, that of
             ``mean_landmarks`` say.
         weights: how much of each, ≥ 0; divided by their sum. Equal ones if not given.
+        frames: where the common shape stands, seen from each splat; in its place if not given.
         ramp, covariance: as for ``Morph``; the ramp fades each splat to its weight.
 
     Raises:
@@ -81,24 +97,30 @@ def average(
     """
     fade, transport = chosen(RAMPS, ramp, "ramp"), chosen(COVARIANCES, covariance, "covariance")
     weights = [1.0] * len(splats) if weights is None else weights
-    if not len(splats) == len(flows) == len(weights):
+    frames = [Similarity.identity()] * len(splats) if frames is None else frames
+    if not len(splats) == len(flows) == len(weights) == len(frames):
         raise ValueError(f"{len(splats)} splats, {len(flows)} flows, {len(weights)} weights")
     total = sum(weights)
     if not (math.isfinite(total) and total > 0 and min(weights) >= 0):
         raise OptionError(f"weights are {list(weights)}, expected proportions ≥ 0, not all 0")
     parts = []
-    for gaussians, flow, weight in zip(splats, flows, weights, strict=True):
+    for gaussians, flow, frame, weight in zip(splats, flows, frames, weights, strict=True):
         if weight > 0:
-            moved = transport(gaussians, flow, [1.0])(0)
+            moved = transport(gaussians, flow, [1.0])(0).moved(frame)
+            moved = replace(moved, offset=splats[0].offset)
             parts.append(moved if weight == total else fade(moved, weight / total))
     return reduce(Gaussians.union, parts)
 
 
 def mean_landmarks(sets: Sequence[Landmarks]) -> Landmarks:
-    """The mean of each landmark that all sets have, by name, in the order of the first set.
+    """The mean shape of all sets over the landmarks that they share, in the order of the first.
+
+    The sets are brought into one place by similarities, and their mean is put where, and made as
+    large as, they are on average: exp of the mean logarithm. Captures that share a frame have
+    there the mean of each landmark, but for what they turn against each other.
 
     Raises:
-        LandmarkError: a set has no names, or too few are common to all.
+        LandmarkError: a set has no names, too few are common to all, or one mirrors the first.
     """
     if any(one.names is None for one in sets):
         raise LandmarkError("landmarks without names have no mean: expected named ones in all sets")
@@ -113,4 +135,7 @@ def mean_landmarks(sets: Sequence[Landmarks]) -> Landmarks:
     points = [
         one.points[[place[name] for name in names]] for one, place in zip(sets, places, strict=True)
     ]
-    return Landmarks(torch.stack(points).mean(0), tuple(names))
+    frames = [similarity_between(points[0], one) for one in points]
+    aligned = [frame.inverse()(one) for frame, one in zip(frames, points, strict=True)]
+    amidst = Similarity.exp(torch.stack([frame.log() for frame in frames]).mean(0))
+    return Landmarks(amidst(torch.stack(aligned).mean(0)), tuple(names))

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 from typing import TypeVar
 
 import torch
@@ -12,11 +13,14 @@ import torch
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
 Choice = TypeVar("Choice")
+
+Offset = tuple[float, float, float]
 
 UNSEEN = 1e-6
 """The weight that stands for 0 where splats must stay: never drawn, and its logit is finite."""
@@ -26,11 +30,12 @@ UNSEEN = 1e-6
 class Morph:
     """The union blend of the paper (eq. 7), G(t) = G⁰(t) ∪ G¹(t).
 
-    Both splats travel along one flow Φ that takes the source's shape to the target's: the source
-    half stands at Φ(x, t), the target half at Φ(x, t - 1), and the ramp fades the one out and the
-    other in. With ``ramp="linear"`` and ``covariance="fixed"`` that is the paper's morph; the
-    defaults keep the surface solid and let shapes follow the flow. Below 0 only the source is
-    left and above 1 only the target, carried on by the same flow: a caricature.
+    Both splats travel along one flow Φ that takes the source's shape to the target's, and with the
+    frame S in which the target stands: the source half is at S(t)∘Φ(x, t), the target half at
+    S(t)∘Φ(S⁻¹y, t - 1), and the ramp fades the one out and the other in. With ``ramp="linear"``
+    and ``covariance="fixed"`` that is the paper's morph; the defaults keep the surface solid and
+    let shapes follow the flow. Below 0 only the source is left and above 1 only the target,
+    carried on by the same flow: a caricature.
 
     Raises:
         OptionError: a name that is none of the choices, a threshold of no use, or a time that is
@@ -42,8 +47,12 @@ class Morph:
     target: Gaussians
     """The splats at t = 1."""
     flow: Flow
-    """Φ, fitted from the source's landmarks to the target's."""
+    """Φ, fitted from the source's landmarks p to the target's in the source's place, S⁻¹q."""
     _: KW_ONLY
+    frame: Similarity = field(default_factory=Similarity.identity)
+    """S: where the target stands, how large and which way round, seen from the source."""
+    stay: bool = False
+    """Keep every frame in the source's place, the target at S⁻¹y; else S(t) is played."""
     ramp: str = DEFAULT_RAMP
     """How opacities fade, a name of ``RAMPS``."""
     covariance: str = DEFAULT_COVARIANCE
@@ -82,8 +91,30 @@ class Morph:
         ease = EASES[self.ease]
         eased = [ease(t) for t in times]
         sources = self._half(self.source, eased, leaves=1)
-        targets = self._half(self.target, [t - 1 for t in eased], leaves=-1)
-        return map(_joined, sources, targets)
+        targets = self._half(self.aligned, [t - 1 for t in eased], leaves=-1)
+        return map(self._placed, sources, targets, eased)
+
+    @cached_property
+    def aligned(self) -> Gaussians:
+        """The target in the source's place, S⁻¹y: what meets the source on the way."""
+        moved = self.target.moved(self.frame.inverse())
+        return replace(moved, up=self.source.up or moved.up, offset=self.source.offset)
+
+    def _placed(self, source: Gaussians | None, target: Gaussians | None, t: float) -> Gaussians:
+        """Both halves at t, where and how large they are at that moment."""
+        if self.stay:
+            return _joined(source, target)
+        place = self.frame.power(t)
+        source, target = (half and half.moved(place) for half in (source, target))
+        if t == 1 and target is not None:
+            # S∘S⁻¹ rounds, and the target is to be the target.
+            added = target.select(torch.arange(len(self.target), len(target)))
+            target = Gaussians.union(self.target, added) if len(added) else self.target
+        if self.source.offset == self.target.offset:
+            return _joined(source, target)
+        offset = _between(self.source.offset, self.target.offset, t)
+        halves = (half and replace(half, offset=offset) for half in (source, target))
+        return _joined(*halves)
 
     def _half(
         self, gaussians: Gaussians, times: Sequence[float], leaves: int
@@ -149,6 +180,12 @@ def _joined(source: Gaussians | None, target: Gaussians | None) -> Gaussians:
         (whole,) = (half for half in (source, target) if half is not None)
         return whole
     return Gaussians.union(source, target)
+
+
+def _between(start: Offset, end: Offset, t: float) -> Offset:
+    # The mean is exact at both ends.
+    x, y, z = ((1 - t) * a + t * b for a, b in zip(start, end, strict=True))
+    return x, y, z
 
 
 def check_times(times: Sequence[float]) -> None:
