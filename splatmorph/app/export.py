@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,7 +20,7 @@ from splatmorph.app.options import (
     TimesOption,
 )
 from splatmorph.errors import OptionError
-from splatmorph.runs.export import export_sequence, write_measured
+from splatmorph.runs.export import Exported, export_one, export_sequence, write_measured
 from splatmorph.runs.inputs import fingerprint
 from splatmorph.runs.run import MANIFEST, WEIGHTS, open_run
 
@@ -50,24 +51,35 @@ def export(
 ) -> None:
     """Write the morph as splat files, one a time, and frames.json with the t of each.
 
-    PLY files are named so that SuperSplat and Brush play them as a sequence. An interrupted
-    export goes on when the same command is given again.
+    -o x.spz with one --t writes that one file; otherwise -o is a folder. PLY files are named so
+    that SuperSplat and Brush play them as a sequence. An interrupted export goes on when the same
+    command is given again.
     """
+    single = _names_a_file(out, format)
     options: dict[str, Any] = blending.chosen()
     opened = open_run(run)
     inputs = opened.load_inputs()
     stem = run.resolve().name.removesuffix(".run")
     if opened.is_mean:
         path = console.claim(out or Path(f"{stem}.{format or 'ply'}"), overwrite)
-        if format and io.extension_of(path) != f".{format}":
-            raise OptionError(f"--format {format} and -o {path} are different formats: give one")
         moved = write_measured(path, opened.average(inputs, **options))
         console.say(f"wrote {path}{lossy(path, moved)}")
         return
     if stable_count:
         options["stable_count"], prune = True, False
     times = _times(frames, t, len(inputs) - 1)
+    if single and len(times) > 1:
+        raise OptionError(
+            f"-o {out} is one file for {len(times)} times: give --t 0.5, or a folder to -o"
+        )
     morph = opened.morph(inputs, **options)
+    names = [one.name for one in opened.inputs]
+    if single and out:
+        written = export_one(
+            morph, times[0], console.claim(out, overwrite), names=names, prune=prune
+        )
+        _say_written(written, str(out))
+        return
     folder = out or Path(f"{stem}-frames")
     with console.progress("writing") as update:
         written = export_sequence(
@@ -75,7 +87,7 @@ def export(
             times,
             folder,
             extension=f".{format or 'ply'}",
-            names=[one.name for one in opened.inputs],
+            names=names,
             prune=prune,
             overwrite=overwrite,
             asked=options | {"run": fingerprint((run / MANIFEST, run / WEIGHTS))},
@@ -83,13 +95,35 @@ def export(
         )
     if written.resumed:
         console.say(f"{written.resumed} frames were there from an interrupted export")
+    _say_written(written, f"{len(written.files)} files, {written.files[0].name} …, to {folder}")
+
+
+def _names_a_file(out: Path | None, format: str | None) -> bool:
+    """Whether ``out`` is one file, by its extension; a folder of frames otherwise.
+
+    Raises:
+        OptionError: an extension that is no format's, or not that of ``format``.
+    """
+    if out is None or out.is_dir():
+        return False
+    extension = io.extension_of(out)
+    if extension in io.FORMATS:
+        if format not in (None, extension[1:]):
+            raise OptionError(f"--format {format} and -o {out} are different formats: give one")
+        return True
+    # A folder may be called v1.2, or .frames.
+    if re.fullmatch(r"\.[a-z]\w*", extension):
+        raise OptionError(
+            f"-o {out} has an extension we don't write: expected a folder, or one file of "
+            f"{', '.join(sorted(io.FORMATS))}"
+        )
+    return False
+
+
+def _say_written(written: Exported, what: str) -> None:
     if written.pruned:
         console.say(f"left out {written.pruned:,} splats too faint to be drawn (--no-prune keeps)")
-    first = written.files[0]
-    console.say(
-        f"wrote {len(written.files)} files, {first.name} …, to {folder}"
-        f"{lossy(first, written.moved)}"
-    )
+    console.say(f"wrote {what}{lossy(written.files[0], written.moved)}")
 
 
 def lossy(path: Path, moved: float) -> str:

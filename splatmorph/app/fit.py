@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
@@ -79,8 +80,9 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
         console.say(f"flow laws, largest error in units of the box: {shown}")
         console.say(f"volume: det ∂Φ/∂x from {report['det_min']:.3g} to {report['det_max']:.3g}")
     console.say(f"\nwrote {folder}\nnext:")
-    console.say(f"  splatmorph render {folder}              a turntable while it morphs")
-    console.say(f"  splatmorph export {folder} --frames 5   the splats in between")
+    typed = shlex.quote(str(folder))
+    console.say(f"  splatmorph render {typed}              a turntable while it morphs")
+    console.say(f"  splatmorph export {typed} --frames 5   the splats in between")
 
 
 def _errors_of(report: Mapping[str, Any]) -> Any:

@@ -84,13 +84,7 @@ def export_sequence(
     frames = morph.sequence([times[i] for i in left])
     written: dict[int, dict[str, float]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
-        t = times[i]
-        leg = min(max(math.floor(t), 0), len(names) - 2)
-        between = 0 < t < len(names) - 1 and not float(t).is_integer()
-        kept = _drawn(frame) if prune and between else frame
-        comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
-        moved = write_measured(files[i], kept, [comment])
-        written[i] = {"splats": len(kept), "pruned": len(frame) - len(kept), "moved": moved}
+        written[i] = _write_frame(files[i], frame, times[i], names, prune)
         write_json(folder / PLAN, plan | {"done": done | written})
         if on_frame is not None:
             on_frame(len(done) + count + 1)
@@ -110,6 +104,25 @@ def export_sequence(
     )
 
 
+def export_one(
+    morph: Morph | Chain,
+    t: float,
+    path: str | Path,
+    *,
+    names: Sequence[str] = ("source", "target"),
+    prune: bool = True,
+) -> Exported:
+    """Write the splat at one time to ``path``, whose extension says the format.
+
+    Raises:
+        OptionError, WriteError: see :func:`splatmorph.io.write`.
+    """
+    path = Path(path)
+    (frame,) = morph.sequence([t])
+    row = _write_frame(path, frame, t, names, prune)
+    return Exported(path.parent, (path,), int(row["pruned"]), 0, row["moved"])
+
+
 def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> float:
     """Write a splat, and return how far in world units its format's rounding moved a center.
 
@@ -121,6 +134,18 @@ def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = (
         return 0.0
     stored = io.read(path)
     return float((gaussians.absolute_means - stored.absolute_means).norm(dim=1).max())
+
+
+def _write_frame(
+    path: Path, frame: Gaussians, t: float, names: Sequence[str], prune: bool
+) -> dict[str, float]:
+    """Write one frame; its row in the index, without file and time."""
+    leg = min(max(math.floor(t), 0), len(names) - 2)
+    between = 0 < t < len(names) - 1 and not float(t).is_integer()
+    kept = _drawn(frame) if prune and between else frame
+    comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
+    moved = write_measured(path, kept, [comment])
+    return {"splats": len(kept), "pruned": len(frame) - len(kept), "moved": moved}
 
 
 def _done_before(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -89,10 +90,45 @@ def test_fit_says_what_was_met_and_what_to_type_next(pair: tuple[Path, Path], cl
         assert words in out
     # The commands that it prints work as they stand.
     (line,) = (line for line in out.splitlines() if "splatmorph export" in line)
-    command = line.split("   ")[0].split()[1:]
+    command = shlex.split(line.split("   ")[0])[1:]
     assert cli(*command)[0] == 0
     report = json.loads(Path("a-b.run/report.json").read_text())["legs"][0]
     assert report["mse"] < 1e-6 < report["mse_before"]
+
+
+def test_what_to_type_next_is_quoted_for_the_shell(pair: tuple[Path, Path], cli: Run) -> None:
+    out = cli("fit", *pair, "-o", "it's (1).run")[1]
+    lines = [line for line in out.splitlines() if line.startswith("  splatmorph")]
+    assert [shlex.split(line)[2] for line in lines] == ["it's (1).run"] * 2
+
+
+def test_the_extension_of_out_says_one_file_or_a_folder(fitted: Path, cli: Run) -> None:
+    out = cli("export", fitted, "--t", "0.5", "-o", "half.spz")[1]
+    assert "wrote half.spz; lossy" in out
+    assert len(io.read("half.spz")) <= 350
+    failed(cli("export", fitted, "--t", "0.5", "-o", "half.spz"), "already there")
+    assert cli("export", fitted, "--t", "0", "-o", "start.ply")[0] == 0
+    assert torch.equal(io.read("start.ply").means, io.read("a.ply").means)
+    # Names of folders may have dots.
+    assert cli("export", fitted, "--t", "0.5", "-o", "v1.2")[0] == 0
+    assert Path("v1.2/morph_0000.ply").is_file()
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        (("-o", "x.spz"), ("one file for 5 times", "--t 0.5")),
+        (("-o", "x.spz", "--t", "0,1"), ("one file for 2 times",)),
+        (("-o", "x.foo"), ("extension", ".ply")),
+        (("-o", "x.mp4", "--t", "0.5"), ("extension", ".ply")),
+        (("-o", "x.spz", "--t", "0.5", "--format", "ply"), ("different formats",)),
+    ],
+)
+def test_an_out_that_cannot_be_is_refused(
+    fitted: Path, cli: Run, asked: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    failed(cli("export", fitted, *asked), *words)
+    assert not Path(asked[1]).exists()
 
 
 def test_exported_ends_are_the_inputs_bit_for_bit(fitted: Path, cli: Run) -> None:
