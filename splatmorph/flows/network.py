@@ -88,7 +88,7 @@ class Network(nn.Module):
 
     def layers(self) -> native.Layers:
         """What the C++ needs to know of it."""
-        return native.Layers(self.activation, [*self.weights], [*self.biases], self.omegas)
+        return native.Layers(self.activation, self.weights, self.biases, self.omegas)
 
 
 def _sine(omega: float) -> Activation:

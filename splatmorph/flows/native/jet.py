@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.autograd.function import once_differentiable
 
 from renderer.cpp import Program
@@ -28,8 +28,8 @@ class Layers(NamedTuple):
     """A network's linear maps, and the ω of the activations between them."""
 
     activation: str
-    weights: Sequence[Tensor]
-    biases: Sequence[Tensor]
+    weights: nn.ParameterList
+    biases: nn.ParameterList
     omegas: Sequence[float]
 
 
@@ -87,11 +87,11 @@ def takes(what: str, jet: Jet, layers: Layers) -> bool:
     width, inputs = first.shape
     if not (
         layers.activation == "sine"
+        and first.dtype == jet.value.dtype
         and len(layers.weights) == 3
         and width in WIDTHS
         and max(inputs, jet.value.shape[1]) <= MOST_INPUTS
         and 1 + len(jet.first) + len(jet.pairs) <= MOST_CHANNELS
-        and first.dtype == jet.value.dtype
     ):
         return False
     shape = (inputs, len(layers.weights[2]), len(jet.first), jet.pairs)
