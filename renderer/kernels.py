@@ -211,6 +211,18 @@ def find_ranges(
         stops[tile] = at + 1
 
 
+@wp.func
+def alpha_at(splats: Splats, i: int, pixel: wp.vec2) -> float:
+    """What a splat covers of a pixel; 0 where it is too little to be drawn."""
+    d = pixel - splats.center[i]
+    conic = splats.conic[i]
+    falloff = 0.5 * (conic[0] * d[0] * d[0] + conic[2] * d[1] * d[1]) + conic[1] * d[0] * d[1]
+    power = splats.log_opacity[i] - falloff
+    if power < LOG_ALPHA_MIN:
+        return 0.0
+    return wp.min(wp.exp(power), ALPHA_MAX)
+
+
 @wp.kernel
 def blend(
     view: View,
@@ -230,12 +242,8 @@ def blend(
     sum = sums[y, x]
     for at in range(starts[tile], stops[tile]):
         i = ids[at]
-        d = pixel - splats.center[i]
-        conic = splats.conic[i]
-        falloff = 0.5 * (conic[0] * d[0] * d[0] + conic[2] * d[1] * d[1]) + conic[1] * d[0] * d[1]
-        power = splats.log_opacity[i] - falloff
-        if power >= LOG_ALPHA_MIN:
-            alpha = wp.min(wp.exp(power), ALPHA_MAX)
+        alpha = alpha_at(splats, i, pixel)
+        if alpha > 0.0:
             remaining = T * (1.0 - alpha)
             if remaining < TRANSMITTANCE_MIN:
                 T = -T  # the pixel is finished; the sign says so to the next slab
@@ -243,6 +251,35 @@ def blend(
             sum += (T * alpha) * splats.color[i]
             T = remaining
     sums[y, x] = sum
+    transmittance[y, x] = T
+
+
+@wp.kernel
+def search(
+    view: View,
+    splats: Splats,
+    starts: wp.array(dtype=int),
+    stops: wp.array(dtype=int),
+    ids: wp.array(dtype=int),
+    share: float,
+    alphas: wp.array2d(dtype=float),
+    transmittance: wp.array2d(dtype=float),
+    depth: wp.array2d(dtype=float),
+):
+    y, x = wp.tid()
+    T = transmittance[y, x]
+    goal = share * alphas[y, x]
+    if T < 0.0 or goal <= 0.0:
+        return
+    tile = (y // TILE) * view.columns + x // TILE
+    pixel = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+    for at in range(starts[tile], stops[tile]):
+        i = ids[at]
+        T *= 1.0 - alpha_at(splats, i, pixel)
+        if goal <= 1.0 - T:
+            depth[y, x] = splats.color[i][3]
+            T = -1.0  # found; the sign says so to the next slab
+            break
     transmittance[y, x] = T
 
 

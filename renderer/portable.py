@@ -65,9 +65,13 @@ def render(
     degree: int,
     views: Sequence[View],
     background: Array,
+    share: float,
     device: str,
 ) -> tuple[Array, Array, Array]:
-    """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size."""
+    """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size.
+
+    The depth is that at which ``share`` of the alpha is gathered, at 0 the mean.
+    """
     arrays: list[wp.array] = [
         wp.array(scene[name], dtype=dtype, copy=False, device=device)
         for name, dtype in SCENE_TYPES.items()
@@ -77,37 +81,50 @@ def render(
     alpha = wp.empty(shape, dtype=float, device=device)
     depth = wp.empty(shape, dtype=float, device=device)
     for i, view in enumerate(views):
-        sums, transmittance = _blended(arrays, degree, _warp_view(view), device)
+        frame = _Frame(arrays, degree, _warp_view(view), device)
+        sums = wp.zeros(shape[1:], dtype=wp.vec4, device=device)
+        transmittance = wp.ones(shape[1:], dtype=float, device=device)
+        frame.launch(kernels.blend, [sums, transmittance])
         inputs = [sums, transmittance, wp.vec3(*background.tolist()), rgb[i], alpha[i], depth[i]]
         wp.launch(kernels.finish, shape[1:], inputs, device=device)
+        if share > 0:
+            clear = wp.ones(shape[1:], dtype=float, device=device)
+            frame.launch(kernels.search, [share, alpha[i], clear, depth[i]])
     return rgb.numpy(), alpha.numpy(), depth.numpy()
 
 
-def _blended(
-    arrays: Sequence[wp.array], degree: int, view: kernels.View, device: str
-) -> tuple[wp.array, wp.array]:
-    n = len(arrays[0])
-    shape = (view.height, view.width)
-    sums = wp.zeros(shape, dtype=wp.vec4, device=device)
-    transmittance = wp.ones(shape, dtype=float, device=device)
-    if not n:
-        return sums, transmittance
-    splats = kernels.Splats()
-    for name, dtype in SPLAT_TYPES.items():
-        setattr(splats, name, wp.empty(n, dtype=dtype, device=device))
-    # Twice the length: the second half is the sort's scratch.
-    keys = wp.empty(2 * n, dtype=int, device=device)
-    order = wp.empty(2 * n, dtype=int, device=device)
-    ends = wp.empty(n, dtype=wp.int64, device=device)
-    wp.launch(kernels.project, n, [*arrays, degree, view, splats, keys, order], device=device)
-    wp.utils.radix_sort_pairs(keys, order, n)
-    wp.launch(kernels.count_tiles, n, [keys, order, view, splats, ends], device=device)
-    wp.utils.array_scan(ends, ends, inclusive=True)
-    for slab in _slabs(ends):
-        ids, starts, stops = _tile_lists(slab, order, ends, view, splats)
-        inputs = [view, splats, starts, stops, ids, sums, transmittance]
-        wp.launch(kernels.blend, shape, inputs, device=device)
-    return sums, transmittance
+class _Frame:
+    """The splats of one view, projected and sorted."""
+
+    def __init__(
+        self, arrays: Sequence[wp.array], degree: int, view: kernels.View, device: str
+    ) -> None:
+        self.n, self.view, self.device = len(arrays[0]), view, device
+        if not self.n:
+            return
+        self.splats = kernels.Splats()
+        for name, dtype in SPLAT_TYPES.items():
+            setattr(self.splats, name, wp.empty(self.n, dtype=dtype, device=device))
+        # Twice the length: the second half is the sort's scratch.
+        keys = wp.empty(2 * self.n, dtype=int, device=device)
+        self.order = wp.empty(2 * self.n, dtype=int, device=device)
+        self.ends = wp.empty(self.n, dtype=wp.int64, device=device)
+        inputs = [*arrays, degree, view, self.splats, keys, self.order]
+        wp.launch(kernels.project, self.n, inputs, device=device)
+        wp.utils.radix_sort_pairs(keys, self.order, self.n)
+        inputs = [keys, self.order, view, self.splats, self.ends]
+        wp.launch(kernels.count_tiles, self.n, inputs, device=device)
+        wp.utils.array_scan(self.ends, self.ends, inclusive=True)
+
+    def launch(self, kernel: wp.Kernel, inputs: Sequence[Any]) -> None:
+        """Run a kernel over all pixels, for each slab of depth, front to back."""
+        if not self.n:
+            return
+        shape = (self.view.height, self.view.width)
+        for slab in _slabs(self.ends):
+            ids, starts, stops = _tile_lists(slab, self.order, self.ends, self.view, self.splats)
+            lists = [self.view, self.splats, starts, stops, ids]
+            wp.launch(kernel, shape, [*lists, *inputs], device=self.device)
 
 
 def _slabs(ends: wp.array) -> list[tuple[int, int, int]]:

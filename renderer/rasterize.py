@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,8 @@ from renderer.views import view_of
 
 MAX_SIDE = 16384
 """Pixels; tile coordinates stay well inside the kernels' integers."""
+Depth = Literal["expected", "surface"]
+MOST_SHARE = 0.99
 
 
 def rasterize(
@@ -33,6 +35,8 @@ def rasterize(
     near: float = 0.01,
     far: float = 1e10,
     sh_degree: int | None = None,
+    depth: Depth = "expected",
+    surface_share: float = 0.3,
     device: str = "cpu",
     threads: int | None = None,
 ) -> tuple[Any, Any, Any]:
@@ -52,14 +56,17 @@ def rasterize(
         background: RGB behind the splats; none leaves the colours premultiplied on black.
         near, far: splats whose center is not between these depths are not drawn.
         sh_degree: use the bands up to this degree; all by default.
+        depth: "expected" is the mean of the splats' depths, weighted by what each adds to the
+            pixel; "surface" the depth of the splat with which a share of the pixel's alpha is
+            gathered, front to back: what is seen, where the mean lies behind it in the haze.
+        surface_share: that share, above 0 and at most 0.99.
         device: "cpu", or "cuda:0" and the like.
         threads: how many draw on a CPU, all cores by default; never changes the picture.
 
-    Returns ``rgb`` (height, width, 3), ``alpha`` (height, width) and ``depth`` (height, width):
-    the mean distance along the viewing axis, weighted by what each splat adds to the pixel,
-    0 where there is none. With c cameras each has a leading axis of length c. float32; torch
-    tensors if ``means`` is one, numpy arrays otherwise. Float32 arrays in C order are read in
-    place.
+    Returns ``rgb`` (height, width, 3), ``alpha`` (height, width) and the depth (height, width)
+    along the viewing axis, 0 where there is none. With c cameras each has a leading axis of
+    length c. float32; torch tensors if ``means`` is one, numpy arrays otherwise. Float32 arrays
+    in C order are read in place.
 
     Splats with a value that is not finite, or a zero quaternion, are not drawn. Raises
     ArgumentError for shapes or numbers that can't be rendered.
@@ -78,20 +85,27 @@ def rasterize(
         raise ArgumentError(f"background is {background!r}, expected three finite numbers, RGB")
     if threads is not None and threads < 1:
         raise ArgumentError(f"threads is {threads}, expected at least 1")
+    if depth not in ("expected", "surface"):
+        raise ArgumentError(f"depth is {depth!r}, expected 'expected' or 'surface'")
+    if not 0 < surface_share <= MOST_SHARE:
+        raise ArgumentError(
+            f"surface_share is {surface_share}, expected above 0 and at most {MOST_SHARE}"
+        )
+    share = surface_share if depth == "surface" else 0.0
     viewmats, Ks = _checked_cameras(viewmat, K)
 
     size, depths = (int(width), int(height)), (float(near), float(far))
     views = [view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
     if device == "cpu" and native.PROGRAM.available():
-        pictures = native.render(scene, degree, views, behind, threads)
+        pictures = native.render(scene, degree, views, behind, share, threads)
     else:
         from renderer import portable
 
         portable.check_device(device)
-        pictures = portable.render(scene, degree, views, behind, device)
+        pictures = portable.render(scene, degree, views, behind, share, device)
     single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
-    rgb, alpha, depth = (_like(means, picture[0] if single else picture) for picture in pictures)
-    return rgb, alpha, depth
+    rgb, alpha, depths_seen = (_like(means, one[0] if single else one) for one in pictures)
+    return rgb, alpha, depths_seen
 
 
 def _is_torch(array: object) -> bool:

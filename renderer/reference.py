@@ -131,6 +131,8 @@ def rasterize_reference(
     near: float = 0.01,
     far: float = 1e10,
     sh_degree: int | None = None,
+    depth: str = "expected",
+    surface_share: float = 0.3,
 ) -> tuple[Array, Array, Array]:
     """One picture, every splat at every pixel, in float64. Arguments as ``rasterize``.
 
@@ -142,9 +144,10 @@ def rasterize_reference(
 
     pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
     rgb = np.zeros((height, width, 3))
-    depth = np.zeros((height, width))
+    mean = np.zeros((height, width))
     transmittance = np.ones((height, width))
     unfinished = np.ones((height, width), bool)
+    added: list[tuple[float, Array]] = []
     for i in np.argsort(splats.depths, kind="stable"):
         offset = pixels - splats.centers[i]
         conic = np.linalg.inv(splats.covariances[i])
@@ -156,14 +159,26 @@ def rasterize_reference(
         hit &= unfinished
         weight = np.where(hit, transmittance * alpha, 0)
         rgb += weight[..., None] * colors[i]
-        depth += weight * splats.depths[i]
+        mean += weight * splats.depths[i]
         transmittance = np.where(hit, remaining, transmittance)
+        added.append((splats.depths[i], weight))
 
     covered = 1 - transmittance
     if background is not None:
         rgb += transmittance[..., None] * np.asarray(background, np.float64)
-    depth = np.divide(depth, covered, out=np.zeros_like(depth), where=covered > 0)
-    return rgb, covered, depth
+    if depth == "surface":
+        return rgb, covered, _surface(added, surface_share * covered)
+    mean = np.divide(mean, covered, out=np.zeros_like(mean), where=covered > 0)
+    return rgb, covered, mean
+
+
+def _surface(added: Sequence[tuple[float, Array]], goal: Array) -> Array:
+    """The depth with which what the splats add, front to back, reaches the goal in each pixel."""
+    gathered, surface = np.zeros_like(goal), np.zeros_like(goal)
+    for depth, weight in added:
+        before, gathered = gathered, gathered + weight
+        surface[(goal > 0) & (before < goal) & (gathered >= goal)] = depth
+    return surface
 
 
 def _visible(

@@ -94,11 +94,13 @@ def render(
     degree: int,
     views: Sequence[View],
     background: Array,
+    share: float = 0.0,
     threads: int | None = None,
 ) -> tuple[Array, Array, Array]:
     """rgb (c, h, w, 3), alpha (c, h, w) and depth (c, h, w) of c views of one size.
 
-    ``scene`` holds the arrays of ``rasterize`` by name, float32 and in C order.
+    ``scene`` holds the arrays of ``rasterize`` by name, float32 and in C order; the depth is that
+    at which ``share`` of the alpha is gathered, at 0 the mean.
     """
     n, coefficients = scene["sh"].shape[:2]
     height, width = views[0].height, views[0].width
@@ -113,6 +115,7 @@ def render(
             **memory.fit(n, tiles),
             state=ctypes.addressof(memory.state),
             background=tuple(background),
+            share=share,
             n=n,
             coefficients=coefficients,
             degree=degree,

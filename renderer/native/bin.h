@@ -101,6 +101,7 @@ auto bin_part = [&](int part) {
         const int more = list_splat(order[rank], list + listed, count);
         if (!more) continue;
         listed += more;
+        if (state.searching) continue;
         fetch_color(order[rank]);
         waiting[pending++] = order[rank];
         if (pending == 2 * LANES) {  // the older half has had time to arrive

@@ -47,6 +47,25 @@ auto write_rows = [&](const Row* rows, int left, int top, int first, int last) {
     }
 };
 
+// The surface lies where a share of the alpha is gathered, which is known only when all is
+// blended: the second time round, ``red`` holds what is to be gathered, and a pixel is finished
+// when it is.
+auto goal_of = [&](int left, int y) -> Row {
+    Row row = {all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
+    const float* alpha = alphas + (long)y * view.width + left;
+    for (int i = 0; i < LANES; ++i)
+        row.red[i] = left + i < view.width ? alpha[i] * given.share : 0.f;
+    row.clear = row.red > 0.f ? row.clear : all(-1.f);
+    return row;
+};
+
+auto write_depths = [&](const Row* rows, int left, int top, int first, int last) {
+    for (int r = first; r <= last; ++r) {
+        float* out = depths + (long)(top + r) * view.width + left;
+        for (int i = 0; i < LANES && left + i < view.width; ++i) out[i] = rows[r].depth[i];
+    }
+};
+
 // One splat over rows first to last of a tile.
 auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last) {
 #pragma clang fp contract(fast)
@@ -65,6 +84,12 @@ auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, 
         const Floats before = rows[r].clear;
         const Floats after = before - alpha * before;
         const Ints finished = after < CLEAR_MIN;
+        if (state.searching) {
+            const Ints reached = (before > 0.f) & (1.f - after >= rows[r].red);
+            rows[r].depth = reached ? depth : rows[r].depth;
+            rows[r].clear = reached ? -before : after;
+            continue;
+        }
         const Floats weight = finished ? none : alpha * before;
         rows[r].clear = finished ? -__builtin_elementwise_abs(before) : after;
         rows[r].red += weight * red;
@@ -83,8 +108,9 @@ auto blend_tile = [&](int t) {
     int first = open.first, last = open.last;
     Row rows[ROWS];
     for (int r = first; r <= last; ++r)
-        rows[r] = open.touched ? kept[t * ROWS + r]
-                               : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
+        rows[r] = open.touched      ? kept[t * ROWS + r]
+                  : state.searching ? goal_of(left, top + r)
+                                    : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
     for (int j = begin; j < end; ++j) {
         __builtin_prefetch(splats + Entry::id(entries[j + 8 < end ? j + 8 : j]));
         const int r0 = Entry::first(entries[j]), r1 = Entry::last(entries[j]);
@@ -97,8 +123,12 @@ auto blend_tile = [&](int t) {
         }
     }
     if (state.last_slab) first = last + 1;
-    write_rows(rows, left, top, open.first, first - 1);
-    write_rows(rows, left, top, last + 1, open.last);
+    const auto write = [&](int from, int to) {
+        if (state.searching) return write_depths(rows, left, top, from, to);
+        write_rows(rows, left, top, from, to);
+    };
+    write(open.first, first - 1);
+    write(last + 1, open.last);
     for (int r = first; r <= last; ++r) kept[t * ROWS + r] = rows[r];
     open = Tile{first, last, 1};
 };

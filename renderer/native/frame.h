@@ -69,8 +69,13 @@ auto next_phase = [&](int phase) {
         return open_phase(FILL, state.slab_parts);
     case FILL: return open_phase(BLEND, tiles);
     case BLEND:
-        if (state.last_slab) return open_phase(DONE, 0);
-        begin_slab(state.slab_end);
+        if (state.last_slab && (state.searching || !(given.share > 0.f)))
+            return open_phase(DONE, 0);
+        if (state.last_slab) {  // once more through the lists, for the depth of the surface
+            state.searching = 1;
+            open_tiles();
+        }
+        begin_slab(state.last_slab ? 0 : state.slab_end);
         return open_phase(BIN, PARTS);
     }
 };

@@ -59,7 +59,7 @@ class State(ctypes.Structure):
         *((name, ctypes.c_int) for name in ("finished", "visible", "lowest")),
         *((name, ctypes.c_int) for name in ("pass", "passes", "digit_bits", "sorted")),
         *((name, ctypes.c_int) for name in ("slab_size", "slab_begin", "slab_end")),
-        *((name, ctypes.c_int) for name in ("slab_parts", "last_slab")),
+        *((name, ctypes.c_int) for name in ("slab_parts", "last_slab", "searching")),
         ("ticks", ctypes.c_uint64 * len(STAGES)),
         ("entries", ctypes.c_int64),
         *((name, ctypes.c_int * PARTS) for name in ("part_count", "part_stop")),
@@ -78,6 +78,7 @@ class Arguments(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("lists", "entries", "kept", "open_rows")),
         ("view", View),
         ("background", ctypes.c_float * 3),
+        ("share", ctypes.c_float),
         *((name, ctypes.c_int) for name in ("n", "coefficients", "degree", "list_size")),
     )
 

@@ -15,7 +15,7 @@ struct State {
     int finished;
     int visible, lowest;
     int pass, passes, digit_bits, sorted;
-    int slab_size, slab_begin, slab_end, slab_parts, last_slab;
+    int slab_size, slab_begin, slab_end, slab_parts, last_slab, searching;
     Word ticks[DONE];  // per phase, summed over threads
     long long entries;
     int part_count[PARTS], part_stop[PARTS];
@@ -56,6 +56,7 @@ struct Arguments {
     Tile* open_rows;              // tiles
     View view;
     float background[3];
+    float share;  // of a pixel's alpha at which its depth is taken; 0: the mean depth
     int n, coefficients, degree, list_size;
 };
 

@@ -198,6 +198,49 @@ def test_depth_of_one_splat_is_its_distance():
     assert not depth[alpha == 0].any()
 
 
+@PER_EXAMPLE
+@given(
+    n=st.integers(1, 60),
+    seed=st.integers(0, 10_000),
+    size=st.sampled_from([(1, 1), (17, 33), (64, 65), (100, 3)]),
+    share=st.sampled_from([0.05, 0.3, 0.5, 0.99]),
+)
+def test_the_surface_is_where_a_share_of_the_alpha_is_gathered(n, seed, size, share):
+    scene = random_scene(n, 0, seed)
+    expected = rasterize(**scene, **pinhole(*size))
+    found = rasterize(**scene, **pinhole(*size), depth="surface", surface_share=share)
+    for a, b in zip(found[:2], expected[:2], strict=True):
+        np.testing.assert_array_equal(a, b)
+    wanted = rasterize_reference(**scene, **pinhole(*size), depth="surface", surface_share=share)
+    # One splat or the next, where the share is reached within rounding.
+    wrong = np.abs(found[2] - wanted[2]) > 1e-4 * np.maximum(wanted[2], 1)
+    assert wrong.sum() <= max(1, 2e-3 * wrong.size)
+    assert not found[2][found[1] == 0].any()
+
+
+def test_the_surface_lies_before_the_haze():
+    wall = random_scene(1, 0, 22)
+    wall["means"][:], wall["scales"][:], wall["opacities"][:] = 0, 9.0, 0.6
+    haze = random_scene(200, 0, 23)
+    haze["means"][:, 2] = np.linspace(1, 20, 200)
+    scene = {name: np.concatenate([wall[name], haze[name]]) for name in wall}
+    _, alpha, mean = rasterize(**scene, **pinhole(16, 16))
+    surface = rasterize(**scene, **pinhole(16, 16), depth="surface")[2]
+    np.testing.assert_allclose(surface[alpha > 0], 4.0, rtol=1e-5)
+    assert mean.max() > 4.5
+
+
+def test_short_lists_leave_the_surface(small_lists):
+    scene = random_scene(1500, 1, 24)
+    scene["scales"][::10] = 10.0
+    scene["opacities"][:] *= 0.3
+    whole = rasterize(**scene, **pinhole(150, 140), depth="surface")[2]
+    small_lists(1000)
+    np.testing.assert_array_equal(
+        rasterize(**scene, **pinhole(150, 140), depth="surface", threads=1)[2], whole
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [
@@ -218,6 +261,8 @@ def test_depth_of_one_splat_is_its_distance():
         ({"background": (1, 2)}, "background"),
         ({"sh_degree": 2}, "sh_degree"),
         ({"threads": 0}, "threads"),
+        ({"depth": "nearest"}, "depth"),
+        ({"depth": "surface", "surface_share": 1.0}, "surface_share"),
         ({"device": "tpu"}, "device"),
         ({"device": "cuda:99"}, "device"),
     ],
