@@ -11,6 +11,7 @@
 Arrays are numpy or torch. See ``docs/conventions.md`` for axes, units and choices.
 """
 
+from renderer.camera_files import read_cameras
 from renderer.cameras import (
     Bounds,
     Camera,
@@ -18,7 +19,6 @@ from renderer.cameras import (
     camera_path,
     look_at,
     orbit,
-    read_transforms,
 )
 from renderer.errors import ArgumentError, CameraFileError, OutputError, RenderError
 from renderer.rasterize import rasterize
@@ -38,7 +38,7 @@ __all__ = [
     "orbit",
     "rasterize",
     "rasterize_reference",
-    "read_transforms",
+    "read_cameras",
     "to_bytes",
     "write_image",
     "write_video",

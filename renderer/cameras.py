@@ -7,17 +7,14 @@ at (0.5, 0.5).
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from renderer.errors import ArgumentError, CameraFileError
+from renderer.errors import ArgumentError
 
 Array = NDArray[np.float64]
 
@@ -25,11 +22,6 @@ FOV = 30.0
 """Default field of view, degrees: a portrait lens, so that noses keep their size."""
 MARGIN = 1.05
 """Room left around the object, as a factor on its radius."""
-
-LARGEST_FILE = 16 << 20
-"""Bytes of a camera file."""
-LARGEST_SIDE = 1 << 15
-"""Pixels of a picture's side in a camera file."""
 
 # The axes (right, up, front) of an object that stands upright under each convention.
 UPRIGHT: Mapping[str, Array] = {
@@ -208,83 +200,3 @@ def camera_path(keys: Sequence[Camera], count: int) -> list[Camera]:
         viewmat[:3, 3] = -R @ position
         cameras.append(Camera(viewmat, K, keys[0].width, keys[0].height))
     return cameras
-
-
-def read_transforms(path: str | Path, *, size: tuple[int, int] | None = None) -> list[Camera]:
-    """Cameras of a NeRF or nerfstudio ``transforms.json``, in the file's order.
-
-    The file holds OpenGL camera → world matrices (y up, looking along -z); values of a frame
-    win over those of the file. ``size`` (width, height) is needed where the file has none, as
-    in NeRF's synthetic scenes, and resizes the cameras where it has one. Lens distortion is
-    left out: the cameras are pinholes. Raises CameraFileError.
-    """
-    path = Path(path)
-    try:
-        if path.exists() and not path.is_file():
-            raise CameraFileError(f"{path}: is no file, expected a transforms.json")
-        if path.stat().st_size > LARGEST_FILE:
-            raise CameraFileError(f"{path}: is larger than {LARGEST_FILE >> 20} MB")
-        content = json.loads(path.read_text(encoding="utf-8"))
-        frames = content["frames"]
-        cameras = [_camera_of_frame({**content, **frame}, size) for frame in frames]
-    except OSError as error:
-        raise CameraFileError(f"{path}: can't be read: {error.strerror}") from error
-    except CameraFileError:
-        raise
-    except Exception as error:  # JSON can hold anything, and numbers of any size
-        raise CameraFileError(
-            f"{path}: no transforms.json of NeRF or nerfstudio: {_reason(error)}"
-        ) from error
-    if not cameras:
-        raise CameraFileError(f"{path}: has no frames; expected at least one")
-    return cameras
-
-
-def _reason(error: Exception) -> str:
-    if isinstance(error, KeyError):
-        return f"no {error}"
-    if isinstance(error, RecursionError):
-        return "it nests too deep"
-    return next(iter(str(error).splitlines()), type(error).__name__)[:160]
-
-
-def _camera_of_frame(frame: Mapping[str, Any], size: tuple[int, int] | None) -> Camera:
-    matrix = np.array(frame["transform_matrix"], float)
-    if matrix.shape not in {(3, 4), (4, 4)} or not np.isfinite(matrix).all():
-        raise ValueError(f"transform_matrix has shape {matrix.shape}, expected finite 4x4")
-    if "FISHEYE" in str(frame.get("camera_model", "")).upper():
-        raise ValueError("fisheye cameras are not supported, only pinholes")
-    if "w" in frame and "h" in frame:
-        width, height = int(frame["w"]), int(frame["h"])
-        if not (1 <= width <= LARGEST_SIDE and 1 <= height <= LARGEST_SIDE):
-            raise ValueError(f"pictures of {width}x{height}, expected 1 to {LARGEST_SIDE} a side")
-    elif size is not None:
-        width, height = size
-    else:
-        raise ValueError("no picture size (w, h) in the file: give one")
-    if "fl_x" in frame:
-        fx = float(frame["fl_x"])
-        fy = float(frame.get("fl_y", fx))
-    else:
-        angle = float(frame["camera_angle_x"])
-        if not 0 < angle < math.pi:
-            raise ValueError(f"camera_angle_x is {angle:.3g}, expected radians between 0 and π")
-        fx = fy = width / 2 / math.tan(angle / 2)
-    K = np.array(
-        [
-            [fx, 0, float(frame.get("cx", width / 2))],
-            [0, fy, float(frame.get("cy", height / 2))],
-            [0, 0, 1],
-        ]
-    )
-    if not (np.isfinite(K).all() and fx > 0 and fy > 0):
-        raise ValueError(f"focal lengths {fx:.3g} and {fy:.3g}, expected finite and above 0")
-    camera_to_world: Array = np.eye(4)
-    camera_to_world[: len(matrix)] = matrix
-    # OpenGL's y and z axes are OpenCV's, turned round.
-    camera_to_world[:3, 1:3] *= -1
-    viewmat = np.asarray(np.linalg.inv(camera_to_world), np.float64)
-    if not np.isfinite(viewmat).all():
-        raise ValueError("transform_matrix can't be inverted")
-    camera = Camera(viewmat, K, width, height)
-    return camera if size is None else camera.resized(*size)

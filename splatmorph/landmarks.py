@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import xml.etree.ElementTree as ElementTree
-from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,14 +14,12 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
 from splatmorph.io import stem_of
-from splatmorph.io.arrays import read_npy, read_npz
 from splatmorph.io.atomic import atomic_write
-from splatmorph.io.reading import read_json, read_text, reading
+from splatmorph.io.reading import reading
+from splatmorph.landmark_files import MARKUPS, READERS, given_twice, parsed
 
 FEWEST = {2: 3, 3: 4}
 """Matched pairs below which an affine map of the plane, of space, is not determined."""
-
-AXES = "xyz"
 
 
 @dataclass(frozen=True)
@@ -61,7 +56,7 @@ class Landmarks:
         if len(self.names) != len(self.points):
             raise LandmarkError(f"{len(self.names)} names for {len(self.points)} landmarks")
         if len(set(self.names)) < len(self.names):
-            raise _given_twice(self.names)
+            raise given_twice(self.names)
 
     def _check_confidence(self, confidence: Tensor) -> None:
         object.__setattr__(self, "confidence", confidence)
@@ -84,25 +79,20 @@ class Landmarks:
         """Read landmarks; the extension names the format.
 
         ``.json`` (``{"points": {"name": [x, y, z]}, "confidence": {"name": 0.9}}``, the latter
-        only where they were found by a search, or a list of points), ``.npy``, ``.npz``, ``.csv``
-        and ``.txt`` (a name column or none), MeshLab's ``.pp``.
+        only where they were found by a search; lists of points, of objects with name and
+        coordinates, 3D Slicer's markups), ``.npy``, ``.npz``, tables (``.csv``, ``.tsv``, ``.txt``,
+        ``.xyz``) with names, an index or neither, 3D Slicer's ``.fcsv``, MeshLab's ``.pp``.
 
         Raises:
             ReadError: the file is missing, of another format, or damaged.
             LandmarkError: the points are no valid set.
         """
         path = Path(path)
-        reader = _READERS.get(path.suffix.lower())
-        if reader is None:
-            raise ReadError(
-                f"{path} has an extension we don't read landmarks from; we read "
-                f"{', '.join(sorted(_READERS))}"
-            )
         with reading(path, "landmark file"):
-            parsed = reader(path)
-            array = np.asarray(parsed.points, dtype=np.float64)
-            names = tuple(parsed.names) if parsed.names else None
-            confidence = _in_order(parsed.confidence, names)
+            found = parsed(path, dim)
+            array = np.asarray(found.points, dtype=np.float64)
+            names = tuple(found.names) if found.names else None
+            confidence = _in_order(found.confidence, names)
         if array.ndim != 2 or array.shape[1] != dim or len(array) == 0:
             shape = "x".join(map(str, array.shape)) if array.size else "no points"
             raise ReadError(f"{path} holds {shape}, expected k points of {dim} coordinates each")
@@ -115,7 +105,7 @@ class Landmarks:
     def beside(path: str | Path) -> Path | None:
         """The landmark file that belongs to the input ``path``: ``<stem>.landmarks.*``."""
         path = Path(path)
-        for extension in _READERS:
+        for extension in (*READERS, MARKUPS):
             candidate = path.with_name(f"{stem_of(path)}.landmarks{extension}")
             if candidate.is_file():
                 return candidate
@@ -242,97 +232,7 @@ def _refuse_contradictions(points: Tensor, names: Sequence[str], side: str) -> N
     )
 
 
-class Parsed(NamedTuple):
-    """What a file holds, not yet checked."""
-
-    points: object
-    names: Iterable[str] | None = None
-    confidence: object = None
-    """By name, or in the order of the points."""
-
-
 def _in_order(confidence: object, names: tuple[str, ...] | None) -> Tensor | None:
     if isinstance(confidence, dict):
         confidence = [confidence[name] for name in names or ()]
     return None if confidence is None else torch.tensor(confidence, dtype=torch.float64)
-
-
-def _read_json(path: Path) -> Parsed:
-    points = read_json(path, "landmark file", pairs=_no_twice)
-    confidence = None
-    if isinstance(points, dict) and "points" in points:
-        points, confidence = points["points"], points.get("confidence")
-    if isinstance(points, dict):
-        return Parsed(list(points.values()), list(points), confidence)
-    return Parsed(points, None, confidence)
-
-
-def _no_twice(pairs: list[tuple[str, object]]) -> dict[str, object]:
-    named = dict(pairs)
-    if len(named) < len(pairs):
-        raise _given_twice([name for name, _ in pairs])
-    return named
-
-
-def _given_twice(names: Iterable[str]) -> LandmarkError:
-    twice = sorted(name for name, times in Counter(names).items() if times > 1)
-    return LandmarkError(f"landmark names given twice: {_some(twice)}; a name must mean one point")
-
-
-def _read_numpy(path: Path) -> Parsed:
-    if path.suffix.lower() == ".npy":
-        return Parsed(read_npy(path, "landmark file"))
-    stored = read_npz(path, what="landmark file")
-    if not stored:
-        raise ReadError(f"{path} holds no arrays, expected 'points' and, where named, 'names'")
-    points = stored["points"] if "points" in stored else next(iter(stored.values()))
-    names = stored.get("names")
-    return Parsed(points, None if names is None else [str(name) for name in names.ravel()])
-
-
-def _read_table(path: Path) -> Parsed:
-    text = read_text(path)
-    rows = [
-        [cell.strip() for cell in row if cell.strip()]
-        for row in csv.reader(line.replace("\t", ",") for line in text.splitlines())
-    ]
-    rows = [row[0].split() if len(row) == 1 else row for row in rows if row]
-    rows = [row for row in rows if not row[0].startswith("#")]
-    named = False
-    if rows and not _is_number(rows[0][-1]):
-        named = rows[0][0].lower() not in AXES
-        rows = rows[1:]
-    if rows and (named or not all(_is_number(row[0]) for row in rows)):
-        return Parsed([[float(cell) for cell in row[1:]] for row in rows], [row[0] for row in rows])
-    return Parsed([[float(cell) for cell in row] for row in rows])
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _read_picked_points(path: Path) -> Parsed:
-    text = read_text(path)
-    if "<!ENTITY" in text:
-        raise ReadError(f"{path} defines entities of its own, which no picked points need: refused")
-    picked = [
-        point
-        for point in ElementTree.fromstring(text).iter("point")
-        if point.get("active", "1") != "0"
-    ]
-    names = [point.get("name") or str(i) for i, point in enumerate(picked)]
-    return Parsed([[float(point.attrib[axis]) for axis in AXES] for point in picked], names)
-
-
-_READERS: dict[str, Callable[[Path], Parsed]] = {
-    ".json": _read_json,
-    ".npy": _read_numpy,
-    ".npz": _read_numpy,
-    ".csv": _read_table,
-    ".txt": _read_table,
-    ".pp": _read_picked_points,
-}

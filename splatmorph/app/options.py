@@ -141,7 +141,7 @@ class Viewpoint:
     up: str = "y"
     """The axis that points up: y, -y, z or -z."""
     cameras: Path | None = None
-    """A transforms.json of NeRF or nerfstudio, instead of an orbit."""
+    """A camera path instead of an orbit: of NeRF, nerfstudio, Inria or COLMAP (text)."""
 
 
 AS_THEY_ARE = Blending()

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from renderer import Camera, orbit, read_transforms, write_image, write_video
+from renderer import Camera, orbit, read_cameras, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
     AS_THEY_ARE,
@@ -175,7 +175,7 @@ def _sheet(
 
 def _cameras(view: Viewpoint, shot: Shot, count: int) -> Sequence[Camera]:
     if view.cameras is not None:
-        path = read_transforms(view.cameras, size=view.size)
+        path = read_cameras(view.cameras, size=view.size)
         return [path[i * len(path) // count] for i in range(count)]
     return turntable(
         bounds(*shot.extent),

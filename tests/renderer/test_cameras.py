@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 import torch
@@ -13,12 +11,10 @@ from hypothesis import strategies as st
 from renderer import (
     ArgumentError,
     Bounds,
-    CameraFileError,
     bounds_of,
     camera_path,
     look_at,
     orbit,
-    read_transforms,
 )
 
 SPHERE = Bounds(np.array([1.0, 2.0, -3.0]), 0.7)
@@ -156,72 +152,3 @@ def test_bad_cameras_are_refused():
         camera_path(orbit(SPHERE, [0]), 5)
     with pytest.raises(ArgumentError, match="size"):
         camera_path([*orbit(SPHERE, [0]), *orbit(SPHERE, [9], width=64)], 5)
-
-
-def transforms(tmp_path, **content):
-    path = tmp_path / "transforms.json"
-    path.write_text(json.dumps(content))
-    return path
-
-
-IDENTITY = np.eye(4).tolist()
-
-
-def test_transforms_of_nerfstudio(tmp_path):
-    path = transforms(
-        tmp_path, w=80, h=60, fl_x=70, fl_y=71, cx=39, cy=31,
-        frames=[{"transform_matrix": IDENTITY}, {"transform_matrix": IDENTITY[:3], "fl_x": 90}],
-    )  # fmt: skip
-    first, second = read_transforms(path)
-    np.testing.assert_array_equal(first.K, [[70, 0, 39], [0, 71, 31], [0, 0, 1]])
-    assert second.K[0, 0] == 90
-    assert (first.width, first.height) == (80, 60)
-    # An OpenGL camera at rest looks along -z with y up.
-    (x, y), *_ = pixels_of(first, np.array([[0.1, 0.2, -1.0]]))
-    assert x > 39
-    assert y < 31
-
-
-def test_transforms_of_nerf_need_a_size(tmp_path):
-    path = transforms(tmp_path, camera_angle_x=1.0, frames=[{"transform_matrix": IDENTITY}])
-    (camera,) = read_transforms(path, size=(100, 50))
-    assert camera.K[0, 0] == pytest.approx(50 / np.tan(0.5))
-    with pytest.raises(CameraFileError, match="size"):
-        read_transforms(path)
-
-
-def test_transforms_are_resized(tmp_path):
-    path = transforms(tmp_path, w=80, h=60, fl_x=70, frames=[{"transform_matrix": IDENTITY}])
-    (camera,) = read_transforms(path, size=(40, 30))
-    np.testing.assert_allclose(camera.K, [[35, 0, 20], [0, 35, 15], [0, 0, 1]])
-
-
-@pytest.mark.parametrize(
-    ("content", "found"),
-    [
-        ({"frames": []}, "no frames"),
-        ({}, "frames"),
-        ([], "transforms.json"),
-        ({"w": 8, "h": 8, "fl_x": 9, "frames": [{}]}, "transform_matrix"),
-        ({"w": 8, "h": 8, "frames": [{"transform_matrix": IDENTITY}]}, "camera_angle_x"),
-        ({"w": 8, "h": 8, "fl_x": 9, "frames": [{"transform_matrix": [[1]]}]}, "shape"),
-        ({"w": 8, "h": 8, "fl_x": 9, "frames": [{"transform_matrix": [[0] * 4] * 4}]}, "Singular"),
-        (
-            {"camera_model": "OPENCV_FISHEYE", "frames": [{"transform_matrix": IDENTITY}]},
-            "fisheye",
-        ),
-    ],
-)
-def test_bad_transforms_are_refused(tmp_path, content, found):
-    path = tmp_path / "cameras.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(CameraFileError, match=found):
-        read_transforms(path)
-
-
-def test_missing_and_broken_files_are_refused(tmp_path):
-    with pytest.raises(CameraFileError, match="No such file"):
-        read_transforms(tmp_path / "none.json")
-    (tmp_path / "text.json").write_text("not json")
-    with pytest.raises(CameraFileError, match=r"text\.json"):
-        read_transforms(tmp_path / "text.json")
