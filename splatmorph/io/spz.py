@@ -1,8 +1,10 @@
 """``.spz`` of Niantic: every attribute of all splats in few bits, one attribute after the other.
 
 A header, then positions in 24-bit fixed point, and in bytes opacities, colours, log scales,
-quaternions and harmonics. Version 3, which is written here, and 2 are one gzip stream; version 4
-is a stream of zstandard for each attribute. https://github.com/nianticlabs/spz
+quaternions and harmonics. Version 3, which is written here, and those before are one gzip stream;
+version 4 is a stream of zstandard for each attribute. https://github.com/nianticlabs/spz
+
+Axes point right, up and back, unless an extension says otherwise.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ import numpy as np
 from splatmorph.errors import ReadError, WriteError
 from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
 from splatmorph.io.atomic import atomic_write
+from splatmorph.io.axes import FRAMES, USUAL, from_frame, upright
 from splatmorph.io.checks import check_count
 from splatmorph.io.inflate import Gunzip, check_promise, unzstd
 from splatmorph.io.packed import (
@@ -39,9 +42,19 @@ from splatmorph.io.packed import (
 MAGIC = b"NGSP"
 HEADER = struct.Struct("<4sIIBBBB")
 GZIP = b"\x1f\x8b"
-READ, WRITTEN, LAST_GZIP, LAST_THREE_BYTE_QUATS = (2, 3, 4), 3, 3, 2
+READ, WRITTEN, LAST_GZIP, LAST_THREE_BYTE_QUATS, LAST_HALVES = (1, 2, 3, 4), 3, 3, 2, 1
 STREAM = struct.Struct("<QQ")
-STREAMS_AT = 16
+TABLE_AT, V4_HEADER = 16, 32
+
+EXTENDED = 0x2
+"""The flag of a file with extensions: records of type, length and bytes."""
+RECORD = struct.Struct("<II")
+AXES = 0xADBE0003
+"""Adobe's extension that names the frame, by its place in this list from 1."""
+FRAME_NAMES = (
+    *("LDB", "RDB", "LUB", "RUB", "LDF", "RDF", "LUF", "RUF"),
+    *("LFD", "RFD", "LFU", "RFU", "LBD", "RBD", "LBU", "RBU"),
+)
 
 MOST_BEYOND = 1 << 20
 """Bytes that may follow the attributes: extensions."""
@@ -67,6 +80,7 @@ class Header:
     degree: int
     fraction_bits: int
     """Of the positions."""
+    flags: int
     streams: int
     """Of version 4; 0 before."""
 
@@ -74,19 +88,28 @@ class Header:
     def sizes(self) -> tuple[int, ...]:
         """Bytes of positions, opacities, colours, scales, quaternions and harmonics."""
         quat = 3 if self.version <= LAST_THREE_BYTE_QUATS else 4
-        each = (9, 1, 3, 3, quat, 3 * ((self.degree + 1) ** 2 - 1))
+        position = 6 if self.version <= LAST_HALVES else 9
+        each = (position, 1, 3, 3, quat, 3 * ((self.degree + 1) ** 2 - 1))
         return tuple(self.splats * size for size in each)
 
 
 def read_spz(path: str | Path) -> Gaussians:
-    """Read an ``.spz`` file of version 2, 3 or 4; axes stay as they are.
+    """Read an ``.spz`` file of any version to 4.
 
     Raises:
         ReadError: see :func:`splatmorph.io.read`.
     """
-    path = Path(path)
+    return unpack_spz(read_bytes(Path(path)), Path(path))
+
+
+def unpack_spz(data: bytes, path: Path) -> Gaussians:
+    """The splat in the bytes of an SPZ file; ``path``, where they lie, is for the messages.
+
+    Raises:
+        ReadError: see :func:`splatmorph.io.read`.
+    """
     with _whole(path):
-        header, body = _unzipped(path)
+        header, body, frame = _unzipped(data, path)
     n = header.splats
     begins = accumulate(header.sizes, initial=0)
     positions, alphas, colours, scales, quats, harmonics = (
@@ -99,37 +122,42 @@ def read_spz(path: str | Path) -> Gaussians:
     sh[:, 1:] = harmonics.reshape(n, -1, 3)
     sh[:, 1:] -= 128
     sh[:, 1:] /= 128
-    return unpacked(
+    halves = header.version <= LAST_HALVES
+    gaussians = unpacked(
         path,
-        means=_from_fixed(positions, header.fraction_bits),
+        means=positions.view("<f2") if halves else _from_fixed(positions, header.fraction_bits),
         quats=_quats(quats),
         log_scales=scales / 16.0 - 10,
         opacities=alphas[:, 0] / 255,
         sh=sh,
     )
+    return gaussians if frame is None else from_frame(gaussians, frame)
 
 
 def spz_layout(path: str | Path) -> str:
-    """In words, the version of an ``.spz`` file.
+    """In words, the version of an ``.spz`` file, and the frame that it says it is in.
 
     Raises:
         ReadError: see :func:`splatmorph.io.read`.
     """
     path = Path(path)
     with _whole(path):
-        return f"SPZ {_unzipped(path)[0].version} of Niantic"
+        header, _, frame = _unzipped(read_bytes(path), path)
+    return f"SPZ {header.version} of Niantic" + (f", axes {frame}" if frame else "")
 
 
 def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
     """Write version 3, in the order of ``gaussians``; there is no room for ``comments``.
 
-    Positions are as fine as 24 bits allow, harmonics go to degree 3 at most, axes stay as they
-    are.
+    Positions are as fine as 24 bits allow, harmonics go to degree 3 at most. Axes stay as they
+    are; where another than y points up, the file says so.
 
     Raises:
         WriteError: see :func:`splatmorph.io.write`; or coordinates beyond ±4 194 303.
     """
     gaussians = gaussians.with_sh_degree(min(gaussians.sh_degree, HIGHEST_DEGREE))
+    if FRAMES[gaussians.up or "y"] not in FRAME_NAMES:
+        gaussians = upright(gaussians, "y")
     means, quats, log_scales, sh = stored_arrays(gaussians, path)
     farthest = float(np.abs(means).max())
     finest = math.floor(math.log2(LARGEST_FIXED / farthest)) if farthest else FRACTION_BITS[-1]
@@ -149,8 +177,10 @@ def write_spz(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
         _quat_bytes(quats),
         as_bytes(128 + steps * np.round(sh[:, 1:] * 128 / steps)),
     ]
-    header = HEADER.pack(MAGIC, WRITTEN, len(gaussians), gaussians.sh_degree, bits, 0, 0)
-    body = b"".join([header, *(part.tobytes() for part in parts)])
+    said = _extensions(gaussians)
+    flags = EXTENDED if said else 0
+    header = HEADER.pack(MAGIC, WRITTEN, len(gaussians), gaussians.sh_degree, bits, flags, 0)
+    body = b"".join([header, *(part.tobytes() for part in parts), said])
     with atomic_write(path) as partial:
         # No time in the file: the same splat gives the same bytes.
         partial.write_bytes(gzip.compress(body, compresslevel=6, mtime=0))
@@ -168,9 +198,11 @@ def _whole(path: Path) -> Iterator[None]:
         ) from error
 
 
-def _unzipped(path: Path) -> tuple[Header, bytes]:
-    """What the file holds, and the attributes of all splats, one after the other."""
-    data = read_bytes(path)
+def _unzipped(data: bytes, path: Path) -> tuple[Header, bytes, str | None]:
+    """What a file holds, the attributes of all splats one after the other, and its frame if said.
+
+    Extensions follow the attributes, or in version 4 the header.
+    """
     if not data.startswith(GZIP):
         header = _header(data, path)
         body = data[HEADER.size :] if header.version <= LAST_GZIP else _inflated(data, header)
@@ -182,7 +214,33 @@ def _unzipped(path: Path) -> tuple[Header, bytes]:
             raise ValueError("versions from 4 are no gzip stream")
     if len(body) < sum(header.sizes):
         raise EOFError
-    return header, body
+    if not header.flags & EXTENDED:
+        return header, body, None
+    if header.version > LAST_GZIP:
+        return header, body, _frame(data[V4_HEADER : struct.unpack_from("<I", data, TABLE_AT)[0]])
+    return header, body, _frame(body[sum(header.sizes) :])
+
+
+def _frame(records: bytes) -> str | None:
+    """The frame that extensions name; those of other kinds are passed over."""
+    begin = 0
+    while begin + RECORD.size <= len(records):
+        kind, size = RECORD.unpack_from(records, begin)
+        begin += RECORD.size
+        if kind == AXES:
+            (number,) = struct.unpack_from("<I", records, begin)
+            if number > len(FRAME_NAMES):
+                raise ValueError(f"axes of kind {number}")
+            return FRAME_NAMES[number - 1] if number else None
+        begin += size
+    return None
+
+
+def _extensions(gaussians: Gaussians) -> bytes:
+    frame = FRAMES[gaussians.up or "y"]
+    if frame == USUAL:
+        return b""
+    return RECORD.pack(AXES, 4) + struct.pack("<I", FRAME_NAMES.index(frame) + 1)
 
 
 def _header(data: bytes, path: Path) -> Header:
@@ -190,7 +248,7 @@ def _header(data: bytes, path: Path) -> Header:
         raise ReadError(f"{path} is no SPZ file: expected it to start with {MAGIC.decode()}")
     if len(data) < HEADER.size:
         raise EOFError
-    _, version, splats, degree, bits, _, streams = HEADER.unpack_from(data)
+    _, version, splats, degree, bits, flags, streams = HEADER.unpack_from(data)
     if version not in READ:
         raise ReadError(
             f"{path} is SPZ of version {version}, we read {', '.join(map(str, READ))}: export it "
@@ -202,14 +260,14 @@ def _header(data: bytes, path: Path) -> Header:
             "export it again"
         )
     check_count(splats, path)
-    header = Header(version, splats, degree, bits, streams)
+    header = Header(version, splats, degree, bits, flags, streams)
     check_promise(sum(header.sizes), path)
     return header
 
 
 def _inflated(data: bytes, header: Header) -> bytes:
     """The attributes of version 4, one after the other; empty ones have no stream."""
-    (table,) = struct.unpack_from("<I", data, STREAMS_AT)
+    (table,) = struct.unpack_from("<I", data, TABLE_AT)
     begin = table + header.streams * STREAM.size
     sizes = [size for size in header.sizes if size]
     if header.streams < len(sizes):

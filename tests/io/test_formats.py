@@ -262,7 +262,7 @@ def test_not_a_number_in_a_splat_file(tmp_path: Path, make_gaussians: MakeGaussi
     ("at", "value", "word"),
     [
         (0, 0x99, "no SPZ"),
-        (4, 1, "version 1"),
+        (4, 0, "version 0"),
         (4, 5, "version 5"),
         (8, 0, "0 splats"),
         (8, 10, "truncated"),
