@@ -18,9 +18,20 @@ The command line prints the line and exits with 1; the library raises it.
 
 from __future__ import annotations
 
+LONGEST = 2000
+
 
 class SplatmorphError(Exception):
-    """Base of every error caused by the data or the environment rather than by a bug."""
+    """Base of every error caused by the data or the environment rather than by a bug.
+
+    Its message is one line of printable characters, whatever the names in a file are made of.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        line = "".join(
+            letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in message
+        )
+        super().__init__(line if len(line) <= LONGEST else f"{line[:LONGEST]}…")
 
 
 class ReadError(SplatmorphError):

@@ -88,15 +88,17 @@ class Landmarks:
             LandmarkError: the points are no valid set.
         """
         path = Path(path)
-        with reading(path, "landmark file"):
-            found = parsed(path, dim)
-            array = np.asarray(found.points, dtype=np.float64)
-            names = tuple(found.names) if found.names else None
-            confidence = _in_order(found.confidence, names)
-        if array.ndim != 2 or array.shape[1] != dim or len(array) == 0:
-            shape = "x".join(map(str, array.shape)) if array.size else "no points"
-            raise ReadError(f"{path} holds {shape}, expected k points of {dim} coordinates each")
         try:
+            with reading(path, "landmark file"):
+                found = parsed(path, dim)
+                array = np.asarray(found.points, dtype=np.float64)
+                names = tuple(found.names) if found.names else None
+                confidence = _in_order(found.confidence, names)
+            if array.ndim != 2 or array.shape[1] != dim or len(array) == 0:
+                shape = "x".join(map(str, array.shape)) if array.size else "no points"
+                raise ReadError(
+                    f"{path} holds {shape}, expected k points of {dim} coordinates each"
+                )
             return Landmarks(torch.from_numpy(array), names, confidence)
         except LandmarkError as error:
             raise LandmarkError(f"{path}: {error}") from error

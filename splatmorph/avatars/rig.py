@@ -97,6 +97,8 @@ def read_local(path: Path) -> tuple[Gaussians, Tensor]:
         ReadError: damaged, or bound to no face.
     """
     columns = read_properties(path)
+    if BINDING not in columns:
+        raise ReadError(f"{path} has no property {BINDING}, expected a triangle-local avatar")
     binding = _binding(path, columns)
     # Normals, where anyone wrote some, would be the triangles' own.
     rest = {name: value for name, value in columns.items() if name not in (BINDING, *NORMALS)}

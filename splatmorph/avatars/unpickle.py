@@ -232,7 +232,8 @@ class _Array(Made):
     def build(self, state: object) -> None:
         if not isinstance(state, tuple):
             raise TypeError("a state that is none")
-        shape, self.kind, by_columns, content = state[-4:]
+        shape, kind, by_columns, content = state[-4:]
+        self.kind = _kind(kind)
         self.shape, self.by_columns = _shape(shape), bool(by_columns)
         self.content = content.encode("latin1") if isinstance(content, str) else content
 
@@ -289,7 +290,14 @@ def _dtype(code: Any, *_: object) -> _Type:
     return _Type(code.lstrip("<>=|"), code[0] if code[:1] in ("<", ">") else "=")
 
 
-def _scalar(kind: _Type, content: bytes | str) -> Any:
+def _kind(value: Any) -> _Type:
+    if not isinstance(value, _Type):
+        raise TypeError("an array of no type")
+    return value
+
+
+def _scalar(kind: Any, content: bytes | str) -> Any:
+    kind = _kind(kind)
     raw = content.encode("latin1") if isinstance(content, str) else content
     if kind.plain is None:
         raise RefusedError(f"numpy.scalar of type {kind.code:.20}")
@@ -297,8 +305,9 @@ def _scalar(kind: _Type, content: bytes | str) -> Any:
 
 
 def _from_buffer(
-    content: bytes, kind: _Type, shape: Any, order: str, axes: Any = None
+    content: bytes, kind: Any, shape: Any, order: str, axes: Any = None
 ) -> _Array | NDArray[Any]:
+    kind = _kind(kind)
     if order == "K" and axes is not None and kind.plain is not None:
         flat = _from_bytes(content, kind.plain, _shape(shape))
         return flat.reshape(_shape(shape)).transpose(_shape(axes))

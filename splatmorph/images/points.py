@@ -186,12 +186,14 @@ def _named_by(path: Path, rows: np.ndarray) -> Landmarks:
 
 
 def _agreed(path: Path, said: str | None, given: str | None) -> str:
-    for convention in (said, given):
-        if convention is not None and convention not in CONVENTIONS:
-            raise OptionError(
-                f"landmark convention '{convention}' is unknown: choose one of "
-                f"{', '.join(CONVENTIONS)}"
-            )
+    if given is not None and given not in CONVENTIONS:
+        raise OptionError(
+            f"landmark convention '{given}' is unknown: choose one of {', '.join(CONVENTIONS)}"
+        )
+    if said is not None and said not in CONVENTIONS:
+        raise ReadError(
+            f"{path} says its convention is '{said:.40}', expected one of {', '.join(CONVENTIONS)}"
+        )
     if said and given and said != given:
         raise LandmarkError(f"{path} says its convention is {said}, but {given} was given")
     if not said and not given:

@@ -17,6 +17,8 @@ from splatmorph.io.reading import reading, require_file
 LARGEST = 512 << 20
 """Bytes of all arrays that are read from an archive, which can hold a thousand times its size."""
 KINDS = "biufSU"
+LAST_LETTER = 0x10FFFF
+"""Of Unicode; numpy would make Python's text of any number."""
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 
 
@@ -85,4 +87,6 @@ def _array(stream: BinaryIO, size: int) -> NDArray[Any]:
     if stream.readinto(content) != length:  # type: ignore[attr-defined]
         raise ValueError("it ends too early (truncated)")
     flat = np.frombuffer(content, dtype) if length else np.empty(0, dtype)
+    if dtype.kind == "U" and flat.view(dtype.byteorder + "u4").max(initial=0) > LAST_LETTER:
+        raise ValueError("it holds text of no letters")
     return flat.reshape(shape, order="F" if by_columns else "C")

@@ -46,15 +46,14 @@ def reading(
 
 
 def reason(error: BaseException) -> str:
-    """What an error says, in one line of printable characters."""
+    """What an error says first, cut where that is long."""
     text = str(error)
     if isinstance(error, KeyError):
         text = f"it has no {text}"
     if isinstance(error, RecursionError):
         text = "it nests too deep"
     first = next(iter(text.splitlines()), "") or f"it makes no sense ({type(error).__name__})"
-    shown = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in first)
-    return shown if len(shown) <= LONGEST_REASON else f"{shown[:LONGEST_REASON]}…"
+    return first if len(first) <= LONGEST_REASON else f"{first[:LONGEST_REASON]}…"
 
 
 def read_text(path: Path) -> str:

@@ -240,7 +240,10 @@ def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg
     prefix = f"{i}."
     own = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
     _check_sizes(stored["flow"], own)
-    flow = flow_from_config(stored["flow"])
+    try:
+        flow = flow_from_config(stored["flow"])
+    except OptionError as error:
+        raise ValueError(error) from error
     flow.load_state_dict(own)
     names = tuple(str(name) for name in stored["names"])
     points = [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import OptionError, RunError
 from splatmorph.io.atomic import atomic_write
+from splatmorph.io.reading import read_text, reading
 from splatmorph.runs.run import HISTORY
 from splatmorph.view.subject import Subject, thin
 
@@ -45,17 +47,16 @@ def read_history(folder: Path) -> History:
     """The history of a run's (first) flow; empty where the fit left none.
 
     Raises:
-        RunError: the file is damaged.
+        ReadError, RunError: the file is damaged.
     """
     path = folder / HISTORY
-    try:
-        with path.open(newline="", encoding="utf-8") as stream:
-            rows = [row for row in csv.DictReader(stream) if row["leg"] == "0"]
-        return History([float(row["step"]) for row in rows], [float(row["mse"]) for row in rows])
-    except FileNotFoundError:
+    if not path.exists():
         return History((), ())
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise RunError(f"{path} is damaged ({error!r}): fit again") from error
+    text = read_text(path)
+    with reading(path, "history", error=RunError, remedy="fit again"):
+        table = csv.DictReader(io.StringIO(text, newline=""))
+        rows = [row for row in table if row["leg"] == "0"]
+        return History([float(row["step"]) for row in rows], [float(row["mse"]) for row in rows])
 
 
 @torch.no_grad()

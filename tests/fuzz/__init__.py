@@ -1,0 +1,1 @@
+"""Damaged files for every reader, made of whole ones: ``python -m tests.fuzz --minutes 5``."""
