@@ -10,7 +10,15 @@ from __future__ import annotations
 
 
 class RenderError(ValueError):
-    """Base of every error the renderer raises on purpose."""
+    """Base of every error the renderer raises on purpose.
+
+    Its message is one line of printable characters, whatever the names in a file are made of.
+    """
+
+    def __init__(self, message: str = "") -> None:
+        super().__init__(
+            "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in message)
+        )
 
 
 class ArgumentError(RenderError):

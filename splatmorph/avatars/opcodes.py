@@ -78,7 +78,9 @@ class Machine:
                     raise DamagedError(f"it takes more than {MOST_OPCODES} steps")
                 self._step(opcode)
             return self.stack.pop()
-        except (LookupError, ValueError, TypeError, OverflowError, struct.error) as error:
+        except (RefusedError, DamagedError):
+            raise
+        except Exception as error:  # whatever the arguments of a call are made of
             raise DamagedError(f"byte {self.at} makes no sense") from error
 
     def take(self, count: int) -> bytes:

@@ -156,7 +156,7 @@ def _loaded(data: bytes, path: Path) -> Any:
             f"{path} asks for the Python object {error}, which no array needs and which could run "
             "any program: refused; get the file from its original source"
         ) from error
-    except (DamagedError, ValueError, TypeError, LookupError, OverflowError) as error:
+    except Exception as error:  # a damaged pickle can make any of it fail
         raise ReadError(
             f"{path} is no whole pickle ({_first_line(error)}): download it again"
         ) from error
@@ -351,6 +351,8 @@ def _storage(stored: bytes) -> _Storage:
 def _tensor(storage: _Storage, offset: int, size: Any, stride: Any, *_: object) -> NDArray[Any]:
     size, stride = _shape(size), _shape(stride)
     values = np.frombuffer(storage.content, storage.dtype)
+    if not isinstance(offset, int):
+        raise TypeError("an offset that is no number")
     last = offset + sum((n - 1) * step for n, step in zip(size, stride, strict=True))
     if math.prod(size) > len(values) or not 0 <= offset <= last < len(values):
         raise ValueError(f"a tensor of {size} in {len(values)} numbers")

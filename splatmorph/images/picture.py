@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -27,8 +28,10 @@ DEPTHS: dict[np.dtype[Any], float] = {
 }
 """The value that means white, for each type a pixel may have."""
 
-FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF", "JPEG2000", "AVIF")
-"""Of Pillow's; others are rare, and some run other programs."""
+FORMATS = ("PNG", "JPEG", "WEBP", "TIFF", "BMP", "PPM", "GIF")
+"""Of Pillow's; others are rare, and some take any memory or run other programs."""
+MOST_BYTES = 16
+"""A pixel of an uncompressed file, room for what else it holds included."""
 MOST_PIXELS = 50_000_000
 """Of a picture, unless the caller says otherwise: what phones take."""
 
@@ -130,10 +133,10 @@ class Picture:
         require_file(path)
         with reading(path, "picture"), _no_limit_of_pillow():
             try:
-                Image.init()
-                known = [name for name in FORMATS if name in Image.OPEN]
-                with Image.open(path, formats=known) as image:
-                    return Picture(_decode(image, path, most_pixels))
+                # From memory, where a length that lies finds no more than there is.
+                data = _bytes(path, most_pixels)
+                with Image.open(io.BytesIO(data), formats=FORMATS) as image:
+                    return Picture(_decode(image, data, path, most_pixels))
             except UnidentifiedImageError as error:
                 raise ReadError(
                     f"{path} is no picture that we can read: give one of {', '.join(FORMATS)}"
@@ -152,7 +155,17 @@ def _no_limit_of_pillow() -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def _decode(image: Image.Image, path: Path, most_pixels: int) -> Pixels:
+def _bytes(path: Path, most_pixels: int) -> bytes:
+    size = path.stat().st_size
+    if size > MOST_BYTES * most_pixels:
+        raise TooLargeError(
+            f"{path} has {size:,} bytes, expected at most {MOST_BYTES * most_pixels:,}, which hold "
+            f"{most_pixels:,} pixels: reduce it first, or raise the limit"
+        )
+    return path.read_bytes()
+
+
+def _decode(image: Image.Image, data: bytes, path: Path, most_pixels: int) -> Pixels:
     width, height = image.size
     if width * height > most_pixels:
         raise TooLargeError(
@@ -162,8 +175,8 @@ def _decode(image: Image.Image, path: Path, most_pixels: int) -> Pixels:
     # The second picture of an MPO, as cameras write it, is a preview.
     if getattr(image, "is_animated", False) and image.format != "MPO":
         raise ReadError(f"{path} is animated, expected one picture: extract one")
-    if _bits(image) == 16 and image.mode not in ("I;16", "I;16B", "I;16L", "I"):
-        return _turned(_read_deep_colour(path), image)
+    if _bits(image, data) == 16 and image.mode not in ("I;16", "I;16B", "I;16L", "I"):
+        return _turned(_read_deep_colour(data, path), image)
     if image.mode.startswith("I"):
         return _turned(_grey(image, path)[..., None], image)
     if image.mode == "F":
@@ -184,21 +197,21 @@ def _grey(image: Image.Image, path: Path) -> Pixels:
     return grey.astype(np.uint16, copy=False)
 
 
-def _bits(image: Image.Image) -> int:
+def _bits(image: Image.Image, data: bytes) -> int:
     if image.format == "TIFF":
         return int(max(image.tag_v2.get(BITS_PER_SAMPLE, (8,))))  # type: ignore[attr-defined]
     if image.format == "PNG":
-        with Path(image.filename).open("rb") as file:  # type: ignore[attr-defined]
-            return file.read(25)[24]  # the bit depth of the first chunk, IHDR
+        return data[24]  # the bit depth of the first chunk, IHDR
     return 8
 
 
-def _read_deep_colour(path: Path) -> Pixels:
+def _read_deep_colour(data: bytes, path: Path) -> Pixels:
     try:
         import cv2
     except ImportError as error:
         raise MissingExtraError("opencv-python-headless", "images", "16-bit colour") from error
-    pixels = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    cv2.setLogLevel(0)
+    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 3:
         raise ReadError(f"{path} is a 16-bit picture of a kind we can't read: convert it to PNG")
     order = [2, 1, 0, 3][: pixels.shape[2]]  # OpenCV's channels run blue, green, red

@@ -285,7 +285,9 @@ def _source(folder: Path, stored: Mapping[str, Any]) -> Source:
 
 
 def _load_again(source: Source) -> Input:
-    if not source.path.exists():
+    with reading(source.path, "input of the run", error=RunError):
+        present = source.path.exists()
+    if not present:
         raise RunError(
             f"the run's input {source.path} is not there any more: put it back, or fit again"
         )

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from renderer import read_transforms
+from renderer import read_cameras
 from splatmorph import io
 from splatmorph.app.batch import read_rows
 from splatmorph.app.eval import read_pairs
@@ -65,8 +65,10 @@ def _plane(path: Path) -> None:
 
 
 def _cameras(path: Path) -> None:
-    read_transforms(path, size=(64, 48))
-    read_transforms(path)
+    if path.name == "images.txt":
+        shutil.copy(path.parents[1] / "whole" / "cameras.txt", path.parent)
+    read_cameras(path, size=(64, 48))
+    read_cameras(path)
 
 
 def _pickle(path: Path) -> None:
@@ -181,7 +183,7 @@ READERS = {
     "pairs": Reader(seeds.pair_files, read_pairs),
     "table": Reader(seeds.table_files, read_rows),
     "run": Reader(run_files, _run, names_file=False),
-    "state": Reader(state_files, _state),
+    "state": Reader(state_files, _state, names_file=False),
     "plan": Reader(plan_files, _plan),
 }
 SLOW = {"run": 10, "state": 200, "plan": 4, "picture": 2}

@@ -97,6 +97,14 @@ def landmark_files(folder: Path) -> list[Path]:
     rows = [f"{name},{x},{y},{z}" for name, (x, y, z) in zip(names, points, strict=True)]
     _put(folder / "table.csv", "\n".join(["name,x,y,z", *rows]))
     _put(folder / "bare.txt", "\n".join(f"{x} {y} {z}" for x, y, z in points))
+    _put(folder / "table.tsv", "\n".join(row.replace(",", "\t") for row in rows))
+    _put(folder / "bare.xyz", "10\n" + "\n".join(f"{x} {y} {z}" for x, y, z in points))
+    control = [
+        {"label": name, "position": row} for name, row in zip(names, points.tolist(), strict=True)
+    ]
+    _put(folder / "slicer.mrk.json", json.dumps({"markups": [{"controlPoints": control}]}))
+    fiducials = "\n".join(f"id{i},{x},{y},{z},1,n{i}" for i, (x, y, z) in enumerate(points))
+    _put(folder / "slicer.fcsv", f"# columns = id,x,y,z,vis,label\n{fiducials}\n")
     picked = "".join(
         f'<point x="{x}" y="{y}" z="{z}" name="{name}" active="1"/>\n'
         for name, (x, y, z) in zip(names, points, strict=True)
@@ -135,7 +143,6 @@ def picture_files(folder: Path) -> list[Path]:
         "a.bmp": colour,
         "a.ppm": colour,
         "a.gif": colour.convert("P"),
-        "a.jp2": colour,
     }.items():
         picture.save(folder / name)
     return sorted(folder.iterdir())
@@ -152,7 +159,12 @@ def camera_files(folder: Path) -> list[Path]:
     keys = [{"camera_to_world": matrix.ravel().tolist(), "fov": 50, "aspect": 1.3}] * 3
     path = {"camera_path": keys, "render_width": 64, "render_height": 48, "fps": 24, "seconds": 1}
     _put(folder / "path.json", json.dumps(path))
-    return sorted(folder.iterdir())
+    inria = {"width": 64, "height": 48, "fx": 80.0, "fy": 80.0, "position": [0, 0, -3]}
+    _put(folder / "cameras.json", json.dumps([inria | {"rotation": np.eye(3).tolist()}] * 2))
+    _put(folder / "cameras.txt", "# lenses\n1 PINHOLE 64 48 80 80 32 24\n")
+    poses = "\n".join(f"{i} 1 0 0 0 0 0 3 1 {i}.png\n1.5 2.5 -1" for i in range(3))
+    _put(folder / "images.txt", f"# poses\n{poses}\n")
+    return [path for path in sorted(folder.iterdir()) if path.name != "cameras.txt"]
 
 
 def pickle_files(folder: Path) -> list[Path]:
