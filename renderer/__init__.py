@@ -21,7 +21,7 @@ from renderer.cameras import (
     orbit,
 )
 from renderer.errors import ArgumentError, CameraFileError, OutputError, RenderError
-from renderer.rasterize import rasterize
+from renderer.rasterize import gather, rasterize
 from renderer.reference import rasterize_reference
 from renderer.video import to_bytes, write_image, write_video
 
@@ -34,6 +34,7 @@ __all__ = [
     "RenderError",
     "bounds_of",
     "camera_path",
+    "gather",
     "look_at",
     "orbit",
     "rasterize",

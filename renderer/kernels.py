@@ -284,6 +284,40 @@ def search(
 
 
 @wp.kernel
+def gather(
+    view: View,
+    splats: Splats,
+    starts: wp.array(dtype=int),
+    stops: wp.array(dtype=int),
+    ids: wp.array(dtype=int),
+    picture: wp.array3d(dtype=float),
+    grain: wp.float64,
+    gathered: wp.array2d(dtype=wp.int64),
+    transmittance: wp.array2d(dtype=float),
+):
+    """The shares that ``blend`` gives to colours, times the picture's values at the pixel."""
+    y, x = wp.tid()
+    T = transmittance[y, x]
+    if T < 0.0:
+        return
+    tile = (y // TILE) * view.columns + x // TILE
+    pixel = wp.vec2(float(x) + 0.5, float(y) + 0.5)
+    for at in range(starts[tile], stops[tile]):
+        i = ids[at]
+        alpha = alpha_at(splats, i, pixel)
+        if alpha > 0.0:
+            remaining = T * (1.0 - alpha)
+            if remaining < TRANSMITTANCE_MIN:
+                T = -T
+                break
+            for k in range(picture.shape[2]):
+                value = wp.float64(T * alpha * picture[y, x, k]) * grain
+                wp.atomic_add(gathered, i, k, wp.int64(value))
+            T = remaining
+    transmittance[y, x] = T
+
+
+@wp.kernel
 def finish(
     sums: wp.array2d(dtype=wp.vec4),
     transmittance: wp.array2d(dtype=float),

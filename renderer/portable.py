@@ -72,10 +72,7 @@ def render(
 
     The depth is that at which ``share`` of the alpha is gathered, at 0 the mean.
     """
-    arrays: list[wp.array] = [
-        wp.array(scene[name], dtype=dtype, copy=False, device=device)
-        for name, dtype in SCENE_TYPES.items()
-    ]
+    arrays = _on_device(scene, device)
     shape = (len(views), views[0].height, views[0].width)
     rgb = wp.empty(shape, dtype=wp.vec3, device=device)
     alpha = wp.empty(shape, dtype=float, device=device)
@@ -91,6 +88,30 @@ def render(
             clear = wp.ones(shape[1:], dtype=float, device=device)
             frame.launch(kernels.search, [share, alpha[i], clear, depth[i]])
     return rgb.numpy(), alpha.numpy(), depth.numpy()
+
+
+def gather(
+    scene: Mapping[str, Array], views: Sequence[View], pictures: Array, grain: float, device: str
+) -> Array:
+    """What splats add to the pixels of c views, times ``pictures`` (c, h, w, k).
+
+    Returns the sums (n, k) over views and pixels, int64 in 1/grain.
+    """
+    arrays = _on_device(scene, device)
+    sums = wp.zeros((len(arrays[0]), pictures.shape[-1]), dtype=wp.int64, device=device)
+    for view, picture in zip(views, pictures, strict=True):
+        values: wp.array = wp.array(picture, dtype=float, device=device)
+        clear = wp.ones((view.height, view.width), dtype=float, device=device)
+        frame = _Frame(arrays, 0, _warp_view(view), device)
+        frame.launch(kernels.gather, [values, wp.float64(grain), sums, clear])
+    return sums.numpy()
+
+
+def _on_device(scene: Mapping[str, Array], device: str) -> list[wp.array]:
+    return [
+        wp.array(scene[name], dtype=dtype, copy=False, device=device)
+        for name, dtype in SCENE_TYPES.items()
+    ]
 
 
 class _Frame:

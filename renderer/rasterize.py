@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import native
 from renderer.errors import ArgumentError
-from renderer.views import view_of
+from renderer.views import View, view_of
 
 MAX_SIDE = 16384
 """Pixels; tile coordinates stay well inside the kernels' integers."""
@@ -76,15 +76,9 @@ def rasterize(
     degree = stored if sh_degree is None else sh_degree
     if not 0 <= degree <= stored:
         raise ArgumentError(f"sh_degree is {degree}, expected 0 to {stored}, the degree of sh")
-    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        raise ArgumentError(f"the picture is {width}x{height}, expected 1 to {MAX_SIDE} a side")
-    if not 0 < near < far:
-        raise ArgumentError(f"near is {near} and far {far}, expected 0 < near < far")
     behind = np.zeros(3) if background is None else np.asarray(background, np.float64)
     if behind.shape != (3,) or not np.isfinite(behind).all():
         raise ArgumentError(f"background is {background!r}, expected three finite numbers, RGB")
-    if threads is not None and threads < 1:
-        raise ArgumentError(f"threads is {threads}, expected at least 1")
     if depth not in ("expected", "surface"):
         raise ArgumentError(f"depth is {depth!r}, expected 'expected' or 'surface'")
     if not 0 < surface_share <= MOST_SHARE:
@@ -92,10 +86,7 @@ def rasterize(
             f"surface_share is {surface_share}, expected above 0 and at most {MOST_SHARE}"
         )
     share = surface_share if depth == "surface" else 0.0
-    viewmats, Ks = _checked_cameras(viewmat, K)
-
-    size, depths = (int(width), int(height)), (float(near), float(far))
-    views = [view_of(*camera, size, depths) for camera in zip(viewmats, Ks, strict=True)]
+    views = _checked_views(viewmat, K, (width, height), (near, far), threads)
     if device == "cpu" and native.PROGRAM.available():
         pictures = native.render(scene, degree, views, behind, share, threads)
     else:
@@ -106,6 +97,89 @@ def rasterize(
     single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
     rgb, alpha, depths_seen = (_like(means, one[0] if single else one) for one in pictures)
     return rgb, alpha, depths_seen
+
+
+def gather(
+    means: ArrayLike,
+    quats: ArrayLike,
+    scales: ArrayLike,
+    opacities: ArrayLike,
+    viewmat: ArrayLike,
+    K: ArrayLike,
+    pictures: ArrayLike,
+    *,
+    near: float = 0.01,
+    far: float = 1e10,
+    device: str = "cpu",
+    threads: int | None = None,
+) -> Any:
+    """What pictures say to each splat: the transpose of ``rasterize`` in its colours.
+
+    In a picture splat i has the share wᵢₚ in pixel p, its alpha there times what is left of the
+    light behind; the picture is Σᵢ wᵢₚ cᵢ. This is Σₚ wᵢₚ xₚ, for values xₚ at the pixels.
+
+    Arguments
+        means, quats, scales, opacities, viewmat, K: as for ``rasterize``.
+        pictures (h, w, k), or (c, h, w, k) for c cameras: the values x, k of them a pixel.
+
+    Options
+        as for ``rasterize``.
+
+    Returns (n, k) float32, summed over pixels and cameras: a torch tensor if ``means`` is one,
+    a numpy array otherwise. Sums are made in whole numbers, so that neither threads nor their
+    order change a bit; their grain is below 1e-9 of the largest value times the pixels.
+
+    Raises ArgumentError for shapes or numbers that can't be used.
+    """
+    arrays = (means, quats, scales, opacities)
+    scene = _checked_scene(*arrays, np.zeros((np.shape(means)[0] if np.ndim(means) else 0, 1, 3)))
+    values = _as_numpy("pictures", pictures, np.float32)
+    single = np.ndim(viewmat) == 2 and np.ndim(K) == 2
+    if single and values.ndim == 3:
+        values = values[None]
+    if values.ndim != 4 or not values.shape[-1]:
+        raise ArgumentError(f"pictures has shape {np.shape(pictures)}, expected ([c,] h, w, k)")
+    if not np.isfinite(values).all():
+        raise ArgumentError("pictures has values that are not finite")
+    count, height, width, channels = values.shape
+    views = _checked_views(viewmat, K, (width, height), (near, far), threads)
+    if len(views) != count:
+        raise ArgumentError(f"{count} pictures and {len(views)} cameras, expected as many of both")
+
+    # So fine that the largest sum there can be fits 62 bits.
+    largest = max(float(np.abs(values).max(initial=0)), 1e-30) * width * height * count
+    grain = 2.0 ** (62 - math.ceil(math.log2(largest)))
+    sums = np.zeros((len(scene["means"]), channels), np.int64)
+    for first in range(0, channels, native.MAX_CHANNELS):
+        some = slice(first, first + native.MAX_CHANNELS)
+        if device == "cpu" and native.PROGRAM.available():
+            sums[:, some] = native.gather(scene, views, values[..., some], grain, threads)
+        else:
+            from renderer import portable
+
+            portable.check_device(device)
+            sums[:, some] = portable.gather(scene, views, values[..., some], grain, device)
+    return _like(means, (sums / grain).astype(np.float32))
+
+
+def _checked_views(
+    viewmat: ArrayLike,
+    K: ArrayLike,
+    size: tuple[int, int],
+    depths: tuple[float, float],
+    threads: int | None,
+) -> list[View]:
+    """The kernels' views of the cameras."""
+    (width, height), (near, far) = size, depths
+    if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
+        raise ArgumentError(f"the picture is {width}x{height}, expected 1 to {MAX_SIDE} a side")
+    if not 0 < near < far:
+        raise ArgumentError(f"near is {near} and far {far}, expected 0 < near < far")
+    if threads is not None and threads < 1:
+        raise ArgumentError(f"threads is {threads}, expected at least 1")
+    viewmats, Ks = _checked_cameras(viewmat, K)
+    whole, between = (int(width), int(height)), (float(near), float(far))
+    return [view_of(*camera, whole, between) for camera in zip(viewmats, Ks, strict=True)]
 
 
 def _is_torch(array: object) -> bool:

@@ -7,7 +7,7 @@ no bounds and no approximations. See ``docs/conventions.md`` for the choices mad
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -140,27 +140,15 @@ def rasterize_reference(
     """
     arrays = [np.asarray(a, np.float64) for a in (means, quats, scales, opacities, sh)]
     camera = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
-    splats, alphas, colors = _visible(arrays, *camera, width, height, (near, far), sh_degree)
-
-    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    _, splats, alphas, colors = _visible(arrays, *camera, width, height, (near, far), sh_degree)
     rgb = np.zeros((height, width, 3))
     mean = np.zeros((height, width))
     transmittance = np.ones((height, width))
-    unfinished = np.ones((height, width), bool)
     added: list[tuple[float, Array]] = []
-    for i in np.argsort(splats.depths, kind="stable"):
-        offset = pixels - splats.centers[i]
-        conic = np.linalg.inv(splats.covariances[i])
-        falloff = np.exp(-0.5 * np.einsum("...i,ij,...j", offset, conic, offset))
-        alpha = np.minimum(alphas[i] * falloff, ALPHA_MAX)
-        hit = unfinished & (alpha >= ALPHA_MIN)
-        remaining = transmittance * (1 - alpha)
-        unfinished &= ~(hit & (remaining < TRANSMITTANCE_MIN))
-        hit &= unfinished
-        weight = np.where(hit, transmittance * alpha, 0)
+    for i, weight in _shares(splats, alphas, width, height):
         rgb += weight[..., None] * colors[i]
         mean += weight * splats.depths[i]
-        transmittance = np.where(hit, remaining, transmittance)
+        transmittance -= weight
         added.append((splats.depths[i], weight))
 
     covered = 1 - transmittance
@@ -181,6 +169,51 @@ def _surface(added: Sequence[tuple[float, Array]], goal: Array) -> Array:
     return surface
 
 
+def gather_reference(
+    means: ArrayLike,
+    quats: ArrayLike,
+    scales: ArrayLike,
+    opacities: ArrayLike,
+    viewmat: ArrayLike,
+    K: ArrayLike,
+    picture: ArrayLike,
+    *,
+    near: float = 0.01,
+    far: float = 1e10,
+) -> Array:
+    """Σₚ wᵢₚ xₚ of one picture (height, width, k), in float64: (n, k). Arguments as ``gather``."""
+    arrays = [np.asarray(a, np.float64) for a in (means, quats, scales, opacities)]
+    values = np.asarray(picture, np.float64)
+    height, width, channels = values.shape
+    camera = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
+    scene = [*arrays, np.zeros((len(arrays[0]), 1, 3))]
+    drawn, splats, alphas, _ = _visible(scene, *camera, width, height, (near, far), None)
+    sums = np.zeros((len(arrays[0]), channels))
+    for i, weight in _shares(splats, alphas, width, height):
+        sums[drawn[i]] = np.einsum("hw,hwk->k", weight, values)
+    return sums
+
+
+def _shares(
+    splats: Projected, alphas: Array, width: int, height: int
+) -> Iterator[tuple[int, Array]]:
+    """What each splat adds to every pixel, (height, width), front to back."""
+    pixels = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), axis=-1)
+    transmittance = np.ones((height, width))
+    unfinished = np.ones((height, width), bool)
+    for i in np.argsort(splats.depths, kind="stable"):
+        offset = pixels - splats.centers[i]
+        conic = np.linalg.inv(splats.covariances[i])
+        falloff = np.exp(-0.5 * np.einsum("...i,ij,...j", offset, conic, offset))
+        alpha = np.minimum(alphas[i] * falloff, ALPHA_MAX)
+        hit = unfinished & (alpha >= ALPHA_MIN)
+        remaining = transmittance * (1 - alpha)
+        unfinished &= ~(hit & (remaining < TRANSMITTANCE_MIN))
+        hit &= unfinished
+        yield int(i), np.where(hit, transmittance * alpha, 0)
+        transmittance = np.where(hit, remaining, transmittance)
+
+
 def _visible(
     arrays: Sequence[Array],
     viewmat: Array,
@@ -189,8 +222,8 @@ def _visible(
     height: int,
     depths: tuple[float, float],
     sh_degree: int | None,
-) -> tuple[Projected, Array, Array]:
-    """Splats that can be drawn: projected, their opacities and their colours."""
+) -> tuple[NDArray[np.intp], Projected, Array, Array]:
+    """Splats that can be drawn: which, projected, their opacities and their colours."""
     means, quats, _, opacities, _ = arrays
     near, far = depths
     depth = means @ viewmat[2, :3] + viewmat[2, 3]
@@ -203,4 +236,5 @@ def _visible(
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     basis = sh_basis(rays, degree)
     colors = np.fmax(np.einsum("nk,nkc->nc", basis, sh[:, : basis.shape[1]]) + 0.5, 0)
-    return project(means, quats, scales, viewmat, K, width, height), opacities, colors
+    projected = project(means, quats, scales, viewmat, K, width, height)
+    return np.flatnonzero(drawn), projected, opacities, colors

@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from renderer.cpp import cores
 from renderer.native import layout
-from renderer.native.layout import PARTS, PROGRAM, STAGES
+from renderer.native.layout import MAX_CHANNELS, PARTS, PROGRAM, STAGES
 from renderer.views import View
 
-__all__ = ["PROGRAM", "STAGES", "render", "stage_shares"]
+__all__ = ["MAX_CHANNELS", "PROGRAM", "STAGES", "gather", "render", "stage_shares"]
 
 Array = NDArray[Any]
 
@@ -121,11 +121,54 @@ def render(
             degree=degree,
         )
         for i, view in enumerate(views):
-            arguments.view = layout.View(*view)
             for name, picture in pictures.items():
                 setattr(arguments, name, picture[i].ctypes.data)
-            # The first phase, projection, with a task a part; see the ticket in ``frame.h``.
-            ctypes.memset(arguments.state, 0, STATE_BYTES)
-            memory.state.ticket = PARTS << 28
-            PROGRAM.run(arguments, threads or cores())
+            _run(arguments, view, memory, threads)
     return pictures["rgb"], pictures["alpha"], pictures["depth"]
+
+
+def gather(
+    scene: Mapping[str, Array],
+    views: Sequence[View],
+    pictures: Array,
+    grain: float,
+    threads: int | None = None,
+) -> Array:
+    """What splats add to the pixels of c views, times ``pictures`` (c, h, w, k), k ≤ MAX_CHANNELS.
+
+    Returns the sums (n, k) over views and pixels, int64 in 1/grain.
+    """
+    n, channels = len(scene["means"]), pictures.shape[-1]
+    height, width = views[0].height, views[0].width
+    rows, columns = -(-height // layout.ROWS), -(-width // layout.COLUMN)
+    whole = np.zeros((rows * layout.ROWS, columns * layout.COLUMN, channels), np.float32)
+    tiled = _aligned((rows, columns, layout.ROWS, channels, layout.COLUMN), np.float32)
+    sums = np.zeros((n, channels), np.int64)
+    memory = _memory
+    with memory.drawing:
+        arguments = layout.Arguments(
+            **{name: array.ctypes.data for name, array in scene.items()},
+            **memory.fit(n, rows * columns),
+            state=ctypes.addressof(memory.state),
+            pictures=tiled.ctypes.data,
+            gathered=sums.ctypes.data,
+            grain=grain,
+            n=n,
+            coefficients=1,
+            channels=channels,
+        )
+        for view, picture in zip(views, pictures, strict=True):
+            whole[:height, :width] = picture
+            split = whole.reshape(rows, layout.ROWS, columns, layout.COLUMN, channels)
+            tiled[:] = split.transpose(0, 2, 1, 4, 3)
+            _run(arguments, view, memory, threads)
+    return sums
+
+
+def _run(arguments: layout.Arguments, view: View, memory: _Memory, threads: int | None) -> None:
+    """One view; ``memory`` is held by the caller."""
+    arguments.view = layout.View(*view)
+    # The first phase, projection, with a task a part; see the ticket in ``frame.h``.
+    ctypes.memset(arguments.state, 0, STATE_BYTES)
+    memory.state.ticket = PARTS << 28
+    PROGRAM.run(arguments, threads or cores())

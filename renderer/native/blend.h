@@ -66,15 +66,16 @@ auto write_depths = [&](const Row* rows, int left, int top, int first, int last)
     }
 };
 
-// One splat over rows first to last of a tile.
-auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last) {
+// One splat over rows first to last of a tile; what it adds to each row's pixels goes to ``add``.
+auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last,
+                       auto add) {
 #pragma clang fp contract(fast)
     const Floats none = all(0.f);
     const Floats dx = x - s.x;
     const float yy = s.conic_yy * (-0.5f / 16);
     const Floats across = dx * dx * (s.conic_xx * (-0.5f / 16)) + s.log_opacity * (1.f / 16);
     const Floats slant = dx * (s.conic_xy * (-1.f / 16));
-    const Floats red = all(s.red), green = all(s.green), blue = all(s.blue), depth = all(s.depth);
+    const Floats depth = all(s.depth);
     float dy = first + y - s.y;
     for (int r = first; r <= last; ++r, dy += 1.f) {
         const Floats power = across + (slant + yy * dy) * dy;
@@ -92,10 +93,38 @@ auto blend_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, 
         }
         const Floats weight = finished ? none : alpha * before;
         rows[r].clear = finished ? -__builtin_elementwise_abs(before) : after;
+        add(r, weight);
+    }
+};
+
+auto paint_splat = [&](const Splat& s, Floats x, float y, Row* rows, int first, int last) {
+    const Floats red = all(s.red), green = all(s.green), blue = all(s.blue), depth = all(s.depth);
+    blend_splat(s, x, y, rows, first, last, [&](int r, Floats weight) {
+#pragma clang fp contract(fast)
         rows[r].red += weight * red;
         rows[r].green += weight * green;
         rows[r].blue += weight * blue;
         rows[r].depth += weight * depth;
+    });
+};
+
+// What splat ``id`` adds to a tile's pixels, times the pictures there, goes to its sums. These are
+// whole numbers, so that their order doesn't matter.
+auto gather_splat = [&](int id, int tile, Floats x, float y, Row* rows, int first, int last) {
+    Floats sums[MAX_CHANNELS];
+    for (int k = 0; k < channels; ++k) sums[k] = all(0.f);
+    const float* picture = given.pictures + (long)tile * ROWS * channels * LANES;
+    blend_splat(splats[id], x, y, rows, first, last, [&](int r, Floats weight) {
+#pragma clang fp contract(fast)
+        for (int k = 0; k < channels; ++k)
+            sums[k] += weight * load(picture + (r * channels + k) * LANES);
+    });
+    for (int k = 0; k < channels; ++k) {
+        double sum = 0;
+        for (int lane = 0; lane < LANES; ++lane) sum += sums[k][lane];
+        const long long whole = (long long)(sum * given.grain);
+        long long* to = given.gathered + (long)id * channels + k;
+        if (whole) __atomic_fetch_add(to, whole, __ATOMIC_RELAXED);
     }
 };
 
@@ -113,9 +142,14 @@ auto blend_tile = [&](int t) {
                                     : Row{all(0.f), all(0.f), all(0.f), all(0.f), all(1.f)};
     for (int j = begin; j < end; ++j) {
         __builtin_prefetch(splats + Entry::id(entries[j + 8 < end ? j + 8 : j]));
+        const int id = Entry::id(entries[j]);
         const int r0 = Entry::first(entries[j]), r1 = Entry::last(entries[j]);
-        blend_splat(splats[Entry::id(entries[j])], lane_index + (left + 0.5f), top + 0.5f, rows,
-                    r0 > first ? r0 : first, r1 < last ? r1 : last);
+        const int from = r0 > first ? r0 : first, to = r1 < last ? r1 : last;
+        const Floats x = lane_index + (left + 0.5f);
+        if (channels)
+            gather_splat(id, t, x, top + 0.5f, rows, from, to);
+        else
+            paint_splat(splats[id], x, top + 0.5f, rows, from, to);
         if ((j & 15) == 15 || j == end - 1) {
             while (first <= last && __builtin_reduce_max(rows[first].clear) < 0.f) ++first;
             while (last >= first && __builtin_reduce_max(rows[last].clear) < 0.f) --last;
@@ -124,6 +158,7 @@ auto blend_tile = [&](int t) {
     }
     if (state.last_slab) first = last + 1;
     const auto write = [&](int from, int to) {
+        if (channels) return;
         if (state.searching) return write_depths(rows, left, top, from, to);
         write_rows(rows, left, top, from, to);
     };

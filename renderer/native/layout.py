@@ -16,6 +16,8 @@ ROWS = 64
 PARTS = 16
 """Into how many tasks a stage is split, for any number of threads."""
 RADIX_BITS = 12
+MAX_CHANNELS = 8
+"""Values a pixel that are gathered in one pass."""
 
 SPLAT_BYTES = 64
 ENTRY_BYTES = 8
@@ -31,6 +33,7 @@ EXP = (9.99995280e-01, 9.99591826e-01, 4.94252633e-01, 1.39953795e-01)
 
 CONSTANTS = f"""
 constexpr int ROWS = {ROWS}, PARTS = {PARTS}, RADIX_BITS = {RADIX_BITS}, RADIX = 1 << RADIX_BITS;
+constexpr int MAX_CHANNELS = {MAX_CHANNELS};
 constexpr float BLUR = {reference.BLUR}f, ALPHA_MIN = 1.f / 255;
 constexpr float LOG_ALPHA_MIN = {math.log(reference.ALPHA_MIN)}f;
 constexpr float ALPHA_MAX = {reference.ALPHA_MAX}f, CLEAR_MIN = {reference.TRANSMITTANCE_MIN}f;
@@ -72,6 +75,7 @@ class Arguments(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("means", "quats", "scales", "opacities", "sh")),
+        *((name, ctypes.c_void_p) for name in ("pictures", "gathered")),
         *((name, ctypes.c_void_p) for name in ("rgb", "alpha", "depth")),
         *((name, ctypes.c_void_p) for name in ("state", "splats", "keys", "ids")),
         *((name, ctypes.c_void_p) for name in ("digits", "counts", "ends")),
@@ -79,7 +83,9 @@ class Arguments(ctypes.Structure):
         ("view", View),
         ("background", ctypes.c_float * 3),
         ("share", ctypes.c_float),
-        *((name, ctypes.c_int) for name in ("n", "coefficients", "degree", "list_size")),
+        ("grain", ctypes.c_double),
+        *((name, ctypes.c_int) for name in ("n", "coefficients", "degree")),
+        *((name, ctypes.c_int) for name in ("channels", "list_size")),
     )
 
 

@@ -45,7 +45,9 @@ struct Row {
 
 struct Arguments {
     const float *means, *quats, *scales, *opacities, *sh;  // n rows
-    float *rgb, *alpha, *depth;                            // height × width
+    const float* pictures;       // to be gathered, tiles × ROWS × channels × LANES, as sums
+    long long* gathered;         // n × channels, in 1/grain; without channels there are made
+    float *rgb, *alpha, *depth;  // height × width
     State* state;
     Splat* splats;                // n
     unsigned* keys;               // two of n, as
@@ -57,7 +59,8 @@ struct Arguments {
     View view;
     float background[3];
     float share;  // of a pixel's alpha at which its depth is taken; 0: the mean depth
-    int n, coefficients, degree, list_size;
+    double grain;
+    int n, coefficients, degree, channels, list_size;
 };
 
 const Arguments& given = *(const Arguments*)arguments;
@@ -65,6 +68,7 @@ const View view = given.view;
 const int n = given.n, coefficients = given.coefficients, degree = given.degree;
 const float *means = given.means, *quats = given.quats, *scales = given.scales;
 const float *opacities = given.opacities, *sh = given.sh;
+const int channels = given.channels;
 float *rgb = given.rgb, *alphas = given.alpha, *depths = given.depth;
 
 State& state = *given.state;

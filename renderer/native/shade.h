@@ -2,7 +2,7 @@
 // sums its own coefficients, which lie together in memory, three floats in one load of four.
 auto shade = [&](const int* id, int count) {
 #pragma clang fp contract(fast)
-    if (!count) return;
+    if (!count || channels) return;
     float position[3][LANES], basis[25][LANES];
     for (int lane = 0; lane < LANES; ++lane)
         for (int axis = 0; axis < 3; ++axis)

@@ -111,6 +111,8 @@ DEFAULT_SIZE = Size(512, 512)
 class Blending:
     """How the halves of a morph are blended."""
 
+    blend: str | None = None
+    """How the halves meet: agree (in colour and shape) or union (each as it is, the paper's)."""
     ramp: str | None = None
     """How opacities fade: calibrated (the default), power or linear, the paper's."""
     covariance: str | None = None

@@ -130,7 +130,9 @@ def _shot(
     avatars = [one.avatar for one in inputs]
     if len(avatars) != 2 or avatars[0] is None or avatars[1] is None:
         raise OptionError(f"--drive moves rigged avatars, but {what} is a run of other splats")
-    driven = Drive(avatars[0], avatars[1], run.legs[0].flow, track_of(drive), **blending)
+    leg = run.legs[0]
+    blending = {"landmarks": leg.source_points, **blending}
+    driven = Drive(avatars[0], avatars[1], leg.flow, track_of(drive), **blending)
     return Shot(driven.sequence(times), extent, SWING)
 
 

@@ -22,6 +22,7 @@ def view(
     *,
     out: Out = None,
     ramp: Annotated[str | None, Parameter(help="How opacities fade at first.")] = None,
+    blend: Annotated[str | None, Parameter(help="How the halves meet.")] = None,
     covariance: Annotated[str | None, Parameter(help="What the flow does to shapes.")] = None,
     up: Annotated[str, Parameter(help="The axis that is up.", allow_leading_hyphen=True)] = "y",
     background: ColourOption = None,
@@ -44,7 +45,7 @@ def view(
     if out is not None and out.suffix.lower() not in PAGES:
         raise OptionError(f"{out}: the page is an .html (for pictures, see  splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
-    subject, report = open_subject(run, **Blending(ramp, covariance).chosen())
+    subject, report = open_subject(run, **Blending(blend, ramp, covariance).chosen())
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
 

@@ -9,6 +9,7 @@ from functools import reduce
 from itertools import accumulate, pairwise
 
 import torch
+from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.flows import Flow
@@ -16,7 +17,8 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import FEWEST, Landmarks
-from splatmorph.morph.morph import Morph, check_times, chosen
+from splatmorph.morph.agreement import agreed_parts
+from splatmorph.morph.morph import BLENDS, DEFAULT_BLEND, Morph, check_times, chosen
 from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
 
@@ -81,6 +83,8 @@ def average(
     frames: Sequence[Similarity] | None = None,
     ramp: str = DEFAULT_RAMP,
     covariance: str = DEFAULT_COVARIANCE,
+    blend: str = DEFAULT_BLEND,
+    landmarks: Tensor | None = None,
 ) -> Gaussians:
     """One splat that is the average of several.
 
@@ -90,7 +94,8 @@ def average(
             ``mean_landmarks`` say.
         weights: how much of each, ≥ 0; divided by their sum. Equal ones if not given.
         frames: where the common shape stands, seen from each splat; in its place if not given.
-        ramp, covariance: as for ``Morph``; the ramp fades each splat to its weight.
+        ramp, covariance, blend: as for ``Morph``; the ramp fades each splat to its weight.
+        landmarks: (m, 3) the first splat's, where ``agree`` moves nothing beyond the flows.
 
     Raises:
         OptionError: a name that is none of the choices, or weights that are no proportions.
@@ -103,13 +108,20 @@ def average(
     total = sum(weights)
     if not (math.isfinite(total) and total > 0 and min(weights) >= 0):
         raise OptionError(f"weights are {list(weights)}, expected proportions ≥ 0, not all 0")
+    drawn = [i for i, weight in enumerate(weights) if weight > 0]
+    shares = [weights[i] / total for i in drawn]
     parts = []
-    for gaussians, flow, frame, weight in zip(splats, flows, frames, weights, strict=True):
-        if weight > 0:
-            moved = transport(gaussians, flow, [1.0])(0).moved(frame)
-            moved = replace(moved, offset=splats[0].offset)
-            parts.append(moved if weight == total else fade(moved, weight / total))
-    return reduce(Gaussians.union, parts)
+    for i in drawn:
+        moved = transport(splats[i], flows[i], [1.0])(0).moved(frames[i])
+        parts.append(replace(moved, offset=splats[0].offset))
+    if len(parts) == 1:
+        return parts[0]
+    if chosen(BLENDS, blend, "blend"):
+        held = torch.empty(0, 3)
+        if landmarks is not None:
+            held = frames[0](flows[0].trajectory(landmarks, [1.0])[0])
+        parts = agreed_parts(parts, shares, held, stretch=covariance == "full")
+    return reduce(Gaussians.union, map(fade, parts, shares))
 
 
 def mean_landmarks(sets: Sequence[Landmarks]) -> Landmarks:

@@ -9,16 +9,23 @@ from functools import cached_property
 from typing import TypeVar
 
 import torch
+from torch import Tensor
 
 from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.morph.agreement import Agreement, agree
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
-from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
+from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, Drift, colour_turns
 
 Choice = TypeVar("Choice")
+
+BLENDS = {"agree": True, "union": False}
+"""By name, whether the halves agree in the middle; otherwise each is as it was, as in the paper."""
+
+DEFAULT_BLEND = "union"
 
 Offset = tuple[float, float, float]
 
@@ -63,15 +70,21 @@ class Morph:
     """Keep every splat of both in every frame, source before target, those of weight 0 all but
     transparent, for players that want one count and order. The ends are then the inputs plus
     unseen splats."""
+    blend: str = DEFAULT_BLEND
+    """How the halves meet, a name of ``BLENDS``."""
+    landmarks: Tensor | None = None
+    """(m, 3) the source's landmarks, where ``agree`` moves nothing beyond the flow."""
     split: float | None = None
     """Split the splats that the flow stretches on their way from one end to the other beyond so
     many times their length; only strictly between 0 and 1, where a half is fading."""
     _split_halves: dict[int, Gaussians] = field(init=False, default_factory=dict)
+    _agreed: dict[int, Agreement] = field(init=False, default_factory=dict)
 
     def __post_init__(self) -> None:
         chosen(RAMPS, self.ramp, "ramp")
         chosen(COVARIANCES, self.covariance, "covariance")
         chosen(EASES, self.ease, "ease")
+        chosen(BLENDS, self.blend, "blend")
         if self.split is not None and not 1 < self.split < math.inf:
             raise OptionError(
                 f"split is {self.split}, expected a number above 1: how many times its length a "
@@ -131,14 +144,14 @@ class Morph:
         timed = list(zip(times, weights, strict=True))
         parts = self._parts(gaussians, leaves)
         whole = self._travels(gaussians, [t for t, weight in timed if weight == 1])
-        fading = self._travels(parts, [t for t, weight in timed if 0 < weight < 1])
+        fading = self._fading(parts, [t for t, weight in timed if 0 < weight < 1], leaves)
         ramp = RAMPS[self.ramp]
         added = parts.select(torch.arange(len(gaussians), len(parts)))
         for t, weight in timed:
             if weight == 0:
                 yield None
             elif weight < 1:
-                yield ramp(fading(t), weight)
+                yield fading(t, weight)
             elif self.stable_count and len(added):
                 yield Gaussians.union(whole(t), ramp(added, UNSEEN))
             else:
@@ -152,13 +165,47 @@ class Morph:
             self._split_halves[leaves] = split_stretched(gaussians, self.flow, leaves, self.split)
         return self._split_halves[leaves]
 
+    def _fading(
+        self, parts: Gaussians, times: Sequence[float], leaves: int
+    ) -> Callable[[float, float], Gaussians]:
+        """A half at any of ``times``, faded to a weight."""
+        ramp = RAMPS[self.ramp]
+        if not BLENDS[self.blend] or not times:
+            travels = self._travels(parts, times)
+            return lambda t, weight: ramp(travels(t), weight)
+        agreed = self.agreement()[leaves]
+        degree = math.isqrt(agreed.drift.sh.shape[1]) - 1
+        travels = self._travels(parts.with_sh_degree(degree), times, agreed.drift)
+        return lambda t, weight: ramp(travels(t), agreed.exponents(weight))
+
+    def agreement(self) -> dict[int, Agreement]:
+        """How the halves agree, by the direction in which they fade; found once."""
+        if not self._agreed:
+            degree = max(self.source.sh_degree, self.target.sh_degree)
+            ways = (1, -1)
+            halves = zip((self.source, self.aligned), ways, strict=True)
+            rest = [self._parts(half, way).with_sh_degree(degree) for half, way in halves]
+            middle = [
+                self._travels(half, [w / 2])(w / 2) for half, w in zip(rest, ways, strict=True)
+            ]
+            turns = [
+                colour_turns(half, self.flow, w / 2, self.covariance)
+                for half, w in zip(rest, ways, strict=True)
+            ]
+            held = torch.empty(0, 3)
+            if self.landmarks is not None:
+                held = self.flow.trajectory(self.landmarks, [0.5])[0]
+            found = agree(rest, middle, turns, held)
+            self._agreed.update(zip(ways, found, strict=True))
+        return self._agreed
+
     def _travels(
-        self, gaussians: Gaussians, times: Sequence[float]
+        self, gaussians: Gaussians, times: Sequence[float], drift: Drift | None = None
     ) -> Callable[[float], Gaussians]:
         """The splats at any of ``times`` after their start, from one integration."""
         stops = sorted({t for t in times if t != 0})
         transport = COVARIANCES[self.covariance]
-        frame = transport(gaussians, self.flow, stops) if stops else None
+        frame = transport(gaussians, self.flow, stops, drift) if stops else None
 
         def at(t: float) -> Gaussians:
             if frame is None or t == 0:

@@ -1,8 +1,8 @@
 """Ramps fade the two halves of a morph; eases bend its time.
 
-A ramp takes splats and a weight w in (0, 1) and returns them faded to that weight; the two halves
-of a morph get w = 1 - t and w = t. Weights 1 and 0 are never asked for: there a half is the input
-itself, bit for bit, or gone.
+A ramp takes splats and a weight w in (0, 1), one for all or one each, and returns them faded to
+that weight; the two halves of a morph get w = 1 - t and w = t. Weights 1 and 0 are never asked
+for: there a half is the input itself, bit for bit, or gone.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from types import MappingProxyType
 
 import numpy as np
@@ -28,7 +29,11 @@ FAINTEST = 1 / 255
 STEPS = 128
 """Intervals of the tables of ``calibrated``."""
 
-Ramp = Callable[[Gaussians, float], Gaussians]
+WEIGHTS = 64
+"""Intervals of weight, where each splat has its own."""
+
+Weight = float | Tensor
+Ramp = Callable[[Gaussians, Weight], Gaussians]
 Ease = Callable[[float], float]
 
 
@@ -43,15 +48,16 @@ def scaled_logits(logits: Tensor, log_factor: Tensor) -> Tensor:
     return log_factor + logsigmoid(logits) - remainder
 
 
-def linear(gaussians: Gaussians, weight: float) -> Gaussians:
+def linear(gaussians: Gaussians, weight: Weight) -> Gaussians:
     """The paper's ramp (eq. 7): the opacity α becomes w·α.
 
     Two such copies of one surface are thinner than the surface: 1 - (1 - wα)(1 - (1-w)α) < α.
     """
-    return _scaled(gaussians, torch.full_like(gaussians.opacity_logits, math.log(weight)))
+    log_weight = weight.log() if isinstance(weight, Tensor) else math.log(weight)
+    return _scaled(gaussians, torch.zeros_like(gaussians.opacity_logits) + log_weight)
 
 
-def power(gaussians: Gaussians, weight: float) -> Gaussians:
+def power(gaussians: Gaussians, weight: Weight) -> Gaussians:
     """The opacity α becomes 1 - (1 - α)^w: the transmittances of the halves multiply to 1 - α.
 
     So the peak of a splat is kept, but its flanks, where α is small, swell.
@@ -60,7 +66,7 @@ def power(gaussians: Gaussians, weight: float) -> Gaussians:
     return _scaled(gaussians, (-torch.expm1(weight * torch.log1p(-drawn)) / drawn).log())
 
 
-def calibrated(gaussians: Gaussians, weight: float) -> Gaussians:
+def calibrated(gaussians: Gaussians, weight: Weight) -> Gaussians:
     """A splat morphed into itself looks like itself: opacities fade and splats narrow.
 
     With G the Gaussian's profile, the profile 1 - (1 - αG)^w would be exact: two copies with
@@ -71,10 +77,42 @@ def calibrated(gaussians: Gaussians, weight: float) -> Gaussians:
     neither copy exceeds its α.
     """
     drawn = _drawn_opacities(gaussians)
-    factor, narrowing, other = interpolated(_best_gaussians(weight), drawn)
+    if isinstance(weight, Tensor):
+        factor, narrowing, other = _between(weight.to(drawn), drawn)
+    else:
+        factor, narrowing, other = interpolated(_best_gaussians(weight), drawn)
     factor = torch.minimum(factor * (1 + FAINTEST / drawn), factor / other).clamp_max(1)
     faded = _scaled(gaussians, factor.log())
     return replace(faded, log_scales=faded.log_scales - 0.5 * narrowing.log()[:, None])
+
+
+def _between(weights: Tensor, alpha: Tensor) -> tuple[Tensor, ...]:
+    """``_best_gaussians`` at one weight and one opacity each (n,): three times (n,)."""
+    place = (weights * WEIGHTS).clamp(1, WEIGHTS - 1)
+    left = place.int().clamp_max(WEIGHTS - 2)
+    share = place - left
+    column = alpha * (STEPS / DENSEST)
+    low = column.int().clamp_max(STEPS - 1)
+    table = _all_weights().to(alpha).flatten(0, 1)
+    corner = (left - 1) * (STEPS + 1) + low
+    below, above = (
+        torch.lerp(
+            table.index_select(0, at), table.index_select(0, at + 1), (column - low)[:, None]
+        )
+        for at in (corner, corner + STEPS + 1)
+    )
+    factor, narrowing, other = torch.lerp(below, above, share[:, None]).unbind(1)
+    # Before the first weight of the table and after its last, straight on to 0 and to 1.
+    faint, near = (weights * WEIGHTS).clamp_max(1), ((1 - weights) * WEIGHTS).clamp_max(1)
+    factor = faint * (1 - (1 - factor) * near)
+    other = near * (1 - (1 - other) * faint)
+    return factor.clamp_min(1e-12), 1 + (narrowing - 1) * near, other.clamp_min(1e-12)
+
+
+@lru_cache
+def _all_weights() -> Tensor:
+    """``_best_gaussians`` for the weights k/WEIGHTS, 0 < k < WEIGHTS."""
+    return torch.stack([_best_gaussians(k / WEIGHTS) for k in range(1, WEIGHTS)])
 
 
 def _best_gaussians(weight: float) -> Tensor:

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -16,7 +16,7 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import to_matrices
-from splatmorph.morph.covariance import carried_shapes
+from splatmorph.morph.covariance import carried_shapes, polar_rotation
 from splatmorph.morph.native import shapes
 
 KNOTS = 8
@@ -26,29 +26,61 @@ BLOCK = 1 << 15
 """Splats whose Jacobians are held at a time."""
 
 Frames = Callable[[int], Gaussians]
-Transport = Callable[[Gaussians, Flow, Sequence[float]], Frames]
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What becomes of splats beyond the flow, each of it times |t|: all at the other end."""
+
+    offset: Tensor
+    """(n, 3) world units, added to where the flow takes the centers."""
+    slope: Tensor
+    """(n, 3, 3) the derivative of the offset by the centers at t = 0, added to that of the flow."""
+    sh: Tensor
+    """(n, k, 3) added to the coefficients of the colours, before they turn with their splats."""
+
+
+class Transport(Protocol):
+    """Maps splats, a flow and k times to a function of 0 … k - 1 that gives the splats then."""
+
+    def __call__(
+        self, gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None = None
+    ) -> Frames: ...
 
 
 @torch.no_grad()
-def move_centers(gaussians: Gaussians, flow: Flow, times: Sequence[float]) -> Frames:
+def move_centers(
+    gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None = None
+) -> Frames:
     """The paper's transport: centers follow the flow, covariance and colour stay as they are."""
     path = flow.trajectory(gaussians.means, times)
-    return lambda k: replace(gaussians, means=path[k])
+    if drift is None:
+        return lambda k: replace(gaussians, means=path[k])
+    return lambda k: replace(
+        gaussians,
+        means=torch.add(path[k], drift.offset, alpha=abs(times[k])),
+        sh=torch.add(gaussians.sh, drift.sh, alpha=abs(times[k])),
+    )
 
 
 @torch.no_grad()
 def move_shapes(
-    gaussians: Gaussians, flow: Flow, times: Sequence[float], *, stretch: bool
+    gaussians: Gaussians,
+    flow: Flow,
+    times: Sequence[float],
+    drift: Drift | None = None,
+    *,
+    stretch: bool,
 ) -> Frames:
     """Splats turn with the flow, Σ' = P Σ Pᵀ, or with ``stretch`` take its whole J Σ Jᵀ.
 
     P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. The
     shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
-    moved = move_centers(gaussians, flow, times)
+    moved = move_centers(gaussians, flow, times, drift)
     reaches = {sign: max(sign * t for t in times) for sign in (1, -1)}
     paths = {
-        sign: _shapes_along(gaussians, flow, sign, reach, stretch)
+        sign: _shapes_along(gaussians, flow, sign, reach, stretch, drift)
         for sign, reach in reaches.items()
         if reach > 0
     }
@@ -60,13 +92,18 @@ def move_shapes(
         if turns is None:
             return turned
         rotations = to_matrices(turns)
-        return replace(turned, sh=rotate_sh(gaussians.sh, rotations))
+        return replace(turned, sh=rotate_sh(turned.sh, rotations))
 
     return frame
 
 
 def _shapes_along(
-    gaussians: Gaussians, flow: Flow, sign: int, reach: float, stretch: bool
+    gaussians: Gaussians,
+    flow: Flow,
+    sign: int,
+    reach: float,
+    stretch: bool,
+    drift: Drift | None,
 ) -> dict[str, Tensor]:
     """Shapes from t = 0 to ``reach`` and one knot more, in one direction of time.
 
@@ -88,6 +125,9 @@ def _shapes_along(
     for name, path in paths.items():
         path[0] = starts[name]
     for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
+        if drift is not None:
+            ways = jacobians.new_tensor(stops).abs()[:, None, None, None]
+            jacobians = jacobians + ways * drift.slope[block].to(jacobians)
         own = quats[block], log_scales[block], jacobians
         takes = shapes.takes(quats, jacobians, stretch=stretch)
         carried = (shapes.carried_shapes if takes else carried_shapes)(*own, stretch=stretch)
@@ -95,6 +135,33 @@ def _shapes_along(
             if name in paths:
                 paths[name][1:, block] = moments
     return paths
+
+
+def drifted(gaussians: Gaussians, drift: Drift, *, stretch: bool) -> Gaussians:
+    """Splats with all of their drift, where they stand."""
+    jacobians = (torch.eye(3).to(drift.slope) + drift.slope).to(gaussians.quats)[None]
+    quats, log_scales, _ = carried_shapes(
+        gaussians.quats, gaussians.log_scales, jacobians, stretch=stretch
+    )
+    return replace(
+        gaussians,
+        means=gaussians.means + drift.offset,
+        quats=quats[0] if stretch else gaussians.quats,
+        log_scales=log_scales[0] if stretch else gaussians.log_scales,
+        sh=gaussians.sh + drift.sh,
+    )
+
+
+@torch.no_grad()
+def colour_turns(gaussians: Gaussians, flow: Flow, t: float, covariance: str) -> Tensor | None:
+    """(n, 3, 3) the rotations P that colours turn by until t; None where they don't."""
+    if not gaussians.sh_degree or covariance == "fixed":
+        return None
+    turns = torch.empty(len(gaussians), 3, 3)
+    for block, jacobians in jacobian_blocks(flow, gaussians.means, [t]):
+        turned = polar_rotation(jacobians[0].double().permute(1, 2, 0).contiguous())
+        turns[block] = turned.permute(2, 0, 1).float()
+    return turns
 
 
 def jacobian_blocks(

@@ -106,7 +106,7 @@ class Run:
             raise OptionError("the run is an average of its splats (`mean`), which has no t")
         splats = [one.gaussians for one in inputs or self.load_inputs()]
         morphs = [
-            Morph(source, target, leg.flow, **options)
+            Morph(source, target, leg.flow, landmarks=leg.source_points, **options)
             for source, target, leg in zip(splats, splats[1:], self.legs, strict=False)
         ]
         return morphs[0] if len(morphs) == 1 else Chain(morphs)
@@ -122,10 +122,11 @@ class Run:
             RunError: an input has moved or changed.
             OptionError: an option of morphs only, or one that ``average`` refuses.
         """
-        if timed := sorted(options.keys() - {"ramp", "covariance"}):
+        if timed := sorted(options.keys() - {"ramp", "covariance", "blend"}):
             raise OptionError(f"the run is an average, which has no t: leave out `{timed[0]}`")
         splats = [one.gaussians for one in inputs or self.load_inputs()]
-        return average(splats, [leg.flow for leg in self.legs], **options)
+        landmarks = self.legs[0].source_points
+        return average(splats, [leg.flow for leg in self.legs], landmarks=landmarks, **options)
 
 
 def remember(loaded: Input) -> Source:

@@ -57,7 +57,8 @@ def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[s
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     (source, target), leg = run.load_inputs(), run.legs[0]
-    morph = Morph(source.gaussians, target.gaussians, leg.flow, **options)
+    landmarks = leg.source_points
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, landmarks=landmarks, **options)
     subject = Subject(
         morph,
         source.name,

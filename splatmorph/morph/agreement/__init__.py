@@ -1,0 +1,143 @@
+"""Agreement: the two halves of a morph become one thing in the middle.
+
+The union of the paper (eq. 7) keeps both halves as they are: where their surfaces nearly coincide
+the eye sees now the one and now the other. Here each half takes on, linearly in time and from its
+own end, what the other shows in its place: its colour, and its surface where landmarks left a gap.
+And each place is drawn by the half that has more to say there.
+
+Everything is decided once a morph, at the middle shape, where both halves are carried half way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import rotate_sh
+from splatmorph.morph.agreement import colour, fade, lead, melt
+from splatmorph.morph.agreement.neighbours import Neighbours
+from splatmorph.morph.agreement.views import views_of
+from splatmorph.morph.transport import Drift, drifted
+from splatmorph.rendering import bounds, renderer_arrays
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """What becomes of one half on its way to the other end."""
+
+    drift: Drift
+    lead: Tensor
+    """(n,) in (0, 1): the half's weight in the middle; the other has 1 minus that there."""
+    density: Tensor
+    """(n,) ≥ 0: of the stack that a splat without counterpart stands in; see ``fade``."""
+
+    def exponents(self, weight: float) -> Tensor:
+        """How much of each splat is left when ``weight`` in (0, 1) of the half is: (n,)."""
+        # The lead is that of the middle: towards the ends each half is whole.
+        swing = (4 * weight * (1 - weight)) ** 2
+        odds = torch.logit(torch.tensor(weight, dtype=torch.float64)) + swing * self.lead.logit()
+        return fade.exponents(odds.sigmoid(), self.density.double()).float()
+
+
+class Meeting:
+    """Parts at the shape that they have in common, and what brings them together there.
+
+    Arguments:
+        rest: the parts, each at its own end.
+        middle: the same, carried to the common shape; one SH degree for all.
+        turns: (n, 3, 3) each: how far the carrying turned their colours; None: not at all.
+        goals: for each part how much it takes on of each other (nothing of itself) at its
+            other end: sums to 1 in a morph, where each becomes the other.
+        way: how much of that it has taken on at the common shape.
+        held: (m, 3) points of the common shape where nothing melts: the landmarks.
+    """
+
+    def __init__(
+        self,
+        rest: Sequence[Gaussians],
+        middle: Sequence[Gaussians],
+        turns: Sequence[Tensor | None],
+        goals: Sequence[Sequence[float]],
+        way: float,
+        held: Tensor,
+    ) -> None:
+        around = bounds(*middle)
+        self.views, radius = views_of(around), around.radius
+        self.near = [Neighbours(part) for part in middle]
+        offsets, self.alone = melt.offsets(middle, self.near, goals, radius, held)
+        self.parts = [
+            replace(part, means=part.means + way * offset)
+            for part, offset in zip(middle, offsets, strict=True)
+        ]
+        self.shown = [
+            [view.picture(arrays) for view in self.views]
+            for arrays in map(renderer_arrays, self.parts)
+        ]
+        self.drifts = []
+        for i, (start, offset) in enumerate(zip(rest, offsets, strict=True)):
+            slope = melt.slopes(start, offset, self.near[i])
+            sh = self._recoloured(i, goals[i], radius)
+            turn = turns[i]
+            if turn is not None and start.sh_degree:
+                sh = rotate_sh(sh, turn.mT)
+            self.drifts.append(Drift(offset, slope, sh))
+
+    def _recoloured(self, i: int, shares: Sequence[float], radius: float) -> Tensor:
+        """The change (n, k, 3) of the colours of part ``i`` at the common shape."""
+        part, near, mine = self.parts[i], self.near[i], self.shown[i]
+        kept = [j for j, share in enumerate(shares) if share and j != i]
+        shares = [shares[j] for j in kept]
+        goals = [
+            colour.goal(own, [self.shown[j][k] for j in kept], shares, radius)
+            for k, own in enumerate(mine)
+        ]
+        changed, trust = colour.change(part, self.views, mine, goals, near)
+        sh = changed[:, None] / colour.SH0
+        if part.sh_degree:
+            others = [self.parts[j] for j in kept]
+            bands = colour.view_dependence(part, others, shares, near)
+            sh = torch.cat([sh, trust[:, None, None] * bands], 1)
+        return sh
+
+
+@torch.no_grad()
+def agree(
+    rest: Sequence[Gaussians],
+    middle: Sequence[Gaussians],
+    turns: Sequence[Tensor | None],
+    held: Tensor,
+) -> list[Agreement]:
+    """How the two halves of a morph agree; arguments as for ``Meeting``."""
+    meeting = Meeting(rest, middle, turns, [[0, 1], [1, 0]], 0.5, held)
+    leads = lead.leads(meeting.parts, meeting.views, meeting.shown, meeting.near)
+    densities = [
+        fade.densities(part, alone, meeting.views, near)
+        for part, alone, near in zip(meeting.parts, meeting.alone, meeting.near, strict=True)
+    ]
+    return [Agreement(*parts) for parts in zip(meeting.drifts, leads, densities, strict=True)]
+
+
+@torch.no_grad()
+def agreed_parts(
+    parts: Sequence[Gaussians], weights: Sequence[float], held: Tensor, *, stretch: bool
+) -> list[Gaussians]:
+    """Parts that agree, to be averaged.
+
+    Arguments:
+        parts: all at the common shape.
+        weights: how much of each there is, summing to 1.
+        held: (m, 3) the landmarks there.
+        stretch: whether shapes follow where their centers go.
+    """
+    degree = max(part.sh_degree for part in parts)
+    parts = [part.with_sh_degree(degree) for part in parts]
+    goals = [[w * (i != j) for j, w in enumerate(weights)] for i in range(len(weights))]
+    meeting = Meeting(parts, parts, [None] * len(parts), goals, 1.0, held)
+    return [
+        drifted(part, drift, stretch=stretch)
+        for part, drift in zip(parts, meeting.drifts, strict=True)
+    ]

@@ -1,0 +1,59 @@
+"""Neighbours: means and slopes over the splats around a point."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from splatmorph.gaussians import Gaussians
+
+COUNT = 24
+"""Neighbours of a splat, itself among them."""
+
+FAINT = 0.05
+"""What a neighbour weighs beyond its opacity."""
+
+
+class Neighbours:
+    """The splats nearest to each of some points, and how much each of them counts.
+
+    Arguments:
+        gaussians: whose neighbours.
+        points: (n, 3) around where; around every splat itself if not given.
+    """
+
+    def __init__(self, gaussians: Gaussians, points: Tensor | None = None) -> None:
+        means = gaussians.means.double().numpy(force=True)
+        at = means if points is None else points.double().numpy(force=True)
+        distance, index = cKDTree(means).query(at, min(COUNT, len(means)), workers=-1)
+        distance, index = (np.reshape(each, (len(at), -1)) for each in (distance, index))
+        self.index = torch.from_numpy(index)
+        near = distance / (distance[:, -1:] / 1.5 + 1e-12)
+        weights = torch.from_numpy(np.exp(-0.5 * near**2)).float()
+        self.weights = weights * (FAINT + gaussians.opacities.float()[self.index])
+
+    def sums(self, values: Tensor) -> Tensor:
+        """Weighted sums (n, c) of the splats' values (m, c)."""
+        return torch.stack(
+            [(self.weights * column[self.index]).sum(1) for column in values.unbind(1)], 1
+        )
+
+    def means(self, values: Tensor, certainty: Tensor | None = None) -> Tensor:
+        """Weighted means (n, c) of values (m, c), each as certain as (m,) says."""
+        if certainty is None:
+            return self.sums(values) / self.weights.sum(1, keepdim=True)
+        both = self.sums(torch.cat([values * certainty[:, None], certainty[:, None]], 1))
+        return both[:, :-1] / both[:, -1:].clamp_min(1e-6)
+
+    def slopes(self, points: Tensor, values: Tensor) -> Tensor:
+        """∂values/∂points (n, c, 3) of values (n, c) at points (n, 3), by least squares."""
+        apart = points[self.index] - points[:, None]
+        rise = values[self.index] - values[:, None]
+        moments = torch.einsum("nk,nki,nkj->nij", self.weights, apart, apart)
+        mixed = torch.einsum("nk,nkc,nkj->ncj", self.weights, rise, apart)
+        # On a sheet nothing tells the slope across: there it is small.
+        ridge = 0.1 * torch.einsum("nii->n", moments) + 1e-30
+        moments = moments + ridge[:, None, None] * torch.eye(3, dtype=moments.dtype)
+        return torch.linalg.solve(moments, mixed.mT).mT
