@@ -210,7 +210,7 @@ def _read_deep_colour(data: bytes, path: Path) -> Pixels:
         import cv2
     except ImportError as error:
         raise MissingExtraError("opencv-python-headless", "images", "16-bit colour") from error
-    cv2.setLogLevel(0)
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None or pixels.dtype != np.uint16 or pixels.ndim != 3:
         raise ReadError(f"{path} is a 16-bit picture of a kind we can't read: convert it to PNG")
