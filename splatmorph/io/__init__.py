@@ -8,8 +8,10 @@ from pathlib import Path
 
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.io.axes import upright
 from splatmorph.io.compressed_ply import write_compressed_ply
 from splatmorph.io.dialects import STRANGE_FILES
+from splatmorph.io.gltf import gltf_layout, read_gltf, write_gltf
 from splatmorph.io.ply import ply_layout, read_ply, write_ply
 from splatmorph.io.reading import reading
 from splatmorph.io.splat import read_splat, write_splat
@@ -26,9 +28,22 @@ class Format:
     """In words, which of its layouts a file has."""
     loses: str = ""
     """What writing costs beside the positions; empty where reading gives back every bit."""
+    up: str | None = None
+    """The axis that the format has point up, to which writing turns a splat; None for any."""
+
+    def held(self, gaussians: Gaussians) -> Gaussians:
+        """The splat as it stands in a file of this format."""
+        return gaussians if self.up is None else upright(gaussians, self.up)
 
 
 ROUNDED = "rotations, scales, colours and opacities are rounded"
+GLTF = Format(
+    read_gltf,
+    write_gltf,
+    gltf_layout,
+    "rotations, scales and opacities are rounded to floats",
+    up="y",
+)
 FORMATS = {
     ".ply": Format(read_ply, write_ply, ply_layout),
     ".compressed.ply": Format(read_ply, write_compressed_ply, ply_layout, ROUNDED),
@@ -38,6 +53,8 @@ FORMATS = {
         lambda path: "splat of antimatter15",
         "rotations, colours and opacities are rounded, colour that depends on the view is left out",
     ),
+    ".glb": GLTF,
+    ".gltf": GLTF,
     ".spz": Format(read_spz, write_spz, spz_layout, ROUNDED),
 }
 """By extension."""
@@ -88,7 +105,8 @@ def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) 
     path = Path(path)
     if extension_of(path) not in FORMATS:
         raise OptionError(f"{path} has an extension we don't write; we write {_known()}")
-    FORMATS[extension_of(path)].write(path, gaussians, comments)
+    kind = FORMATS[extension_of(path)]
+    kind.write(path, kind.held(gaussians), comments)
 
 
 def extension_of(path: str | Path) -> str:

@@ -130,10 +130,11 @@ def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = (
         OptionError, WriteError: see :func:`splatmorph.io.write`.
     """
     io.write(path, gaussians, comments)
-    if not io.FORMATS[io.extension_of(path)].loses:
+    kind = io.FORMATS[io.extension_of(path)]
+    if not kind.loses:
         return 0.0
     stored = io.read(path)
-    return float((gaussians.absolute_means - stored.absolute_means).norm(dim=1).max())
+    return float((kind.held(gaussians).absolute_means - stored.absolute_means).norm(dim=1).max())
 
 
 def _write_frame(
