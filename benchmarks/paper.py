@@ -23,7 +23,7 @@ from pairs import Pair, frll, head, nersemble
 
 from renderer.cpp import plain_twins
 from splatmorph.fitting import FitConfig, FitReport, fit
-from splatmorph.flows import Conjugate, Flow, Node, make_flow
+from splatmorph.flows import NCF, Flow, Node, make_flow
 from splatmorph.flows.node import runge_kutta
 
 mpl.use("Agg")
@@ -122,7 +122,7 @@ def thin_plate_table(pair: Pair, quick: bool) -> Iterator[str]:
     yield ""
 
 
-def by_autograd(flow: Conjugate, x: torch.Tensor) -> torch.Tensor:
+def by_autograd(flow: NCF, x: torch.Tensor) -> torch.Tensor:
     """∂²Φ/∂x² at t = 1/2 by reverse differentiation, twice, of plain torch."""
     x = x.clone().requires_grad_(True)
     with plain_twins():
@@ -144,7 +144,7 @@ def differentiation_table(repeats: int = 10) -> Iterator[str]:
     all_threads = torch.get_num_threads()
     for dim, threads in product((2, 3), sorted({1, all_threads})):
         flow = make_flow("ncf", dim)
-        assert isinstance(flow, Conjugate)
+        assert isinstance(flow, NCF)
         flow.initialise(torch.Generator().manual_seed(0))
         flow.generator.fill_(0.1)
         flow.drift.fill_(0.1)

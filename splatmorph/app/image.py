@@ -16,7 +16,7 @@ from splatmorph.app.options import Json, Out, Overwrite, Seed, SizeOption, Times
 from splatmorph.app.render import STILLS, WITH_ALPHA, frame_times
 from splatmorph.errors import OptionError
 from splatmorph.fitting import FitConfig, FitReport, fit
-from splatmorph.flows import Still, make_flow
+from splatmorph.flows import Linear, make_flow
 from splatmorph.images import (
     Canvas,
     FlowWarp,
@@ -167,8 +167,8 @@ def _warp(
     warping: Warping,
     seed: int,
 ) -> tuple[Warp, Pair | None, FitReport | None]:
-    if warping.warp == Still.kind:
-        return FlowWarp(make_flow(Still.kind, dim=2)), None, None
+    if warping.warp == Linear.kind:
+        return FlowWarp(make_flow(Linear.kind, dim=2)), None, None
     canvases = (pictures[0].canvas, pictures[1].canvas)
     found = _landmarks(paths, pictures, pairing)
     pair = points.with_anchors(*found, canvases, pairing.anchors)

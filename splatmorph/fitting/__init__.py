@@ -11,20 +11,23 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError
 from splatmorph.fitting.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions
-from splatmorph.fitting.objectives import (
-    ConjugateObjective,
-    IfmorphObjective,
-    Region,
-    SirenObjective,
-)
+from splatmorph.fitting.methods import fitted_by, method_of
 from splatmorph.fitting.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
-from splatmorph.fitting.solve import Record, solve_displacement, solve_spline
-from splatmorph.fitting.train import Objective, train
-from splatmorph.flows import Conjugate, Displacement, Flow, Ifmorph, Node, SplineField
+from splatmorph.fitting.task import Region, Task
+from splatmorph.flows import Flow, Node
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import Quality, evaluate
 
-__all__ = ["ENERGIES", "FitConfig", "FitProgress", "FitReport", "FitState", "fit"]
+__all__ = [
+    "ENERGIES",
+    "FitConfig",
+    "FitProgress",
+    "FitReport",
+    "FitState",
+    "Task",
+    "fit",
+    "fitted_by",
+]
 
 DEFAULTS = FitConfig()
 """The settings of a fit that is asked for nothing else."""
@@ -49,9 +52,9 @@ def fit(
 ) -> FitReport:
     """Fit ``flow`` in place so that Φ(p, t) = Φ(q, t - 1) for the matched landmarks p and q.
 
-    The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then a
-    field that is linear in its weights is solved for and any other is trained. Everything runs
-    where the flow is, the landmarks included.
+    The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then the
+    flow is solved for or trained, as ``methods`` says of its class. Everything runs where the flow
+    is, the landmarks included.
 
     Arguments:
         source, target: landmarks in world units, matched by ``source.match(target)``.
@@ -64,7 +67,7 @@ def fit(
 
     Raises:
         LandmarkError: the landmarks don't match, or all lie in one point.
-        NonFiniteError: the flow became NaN or infinite.
+        FitError: the flow has nothing to fit, or became NaN or infinite.
     """
     p, q, names = source.match(target)
     device = flow.center.device
@@ -78,9 +81,12 @@ def fit(
         if on_step is not None:
             on_step(history[-1])
 
-    finished = True
+    ends = flow.to_unit(p), flow.to_unit(q)
+    inside = None if domain is None else flow.to_unit(domain.to(p)).float()
+    region = Region(torch.cat(ends).float(), inside)
+    task = Task(*ends, region, config, record, resume, on_state)
     try:
-        finished = _fit_unit(flow, p, q, domain, config, record, resume, on_state)
+        finished = method_of(flow)(flow, task)
     except KeyboardInterrupt:
         finished = False
     seconds = time.perf_counter() - begun
@@ -94,41 +100,6 @@ def _lay_frame(flow: Flow, p: Tensor, q: Tensor) -> None:
     if half == 0:
         raise LandmarkError("all landmarks lie in one point, expected points on an object")
     flow.set_frame((low + high) / 2, half)
-
-
-def _fit_unit(
-    flow: Flow,
-    p: Tensor,
-    q: Tensor,
-    domain: Tensor | None,
-    config: FitConfig,
-    record: Record,
-    resume: FitState | None,
-    on_state: Callable[[FitState], None] | None,
-) -> bool:
-    p, q = flow.to_unit(p), flow.to_unit(q)
-    if isinstance(flow, Node) and isinstance(flow.field, SplineField):
-        solve_spline(flow.field, p, q, config, record)
-        return True
-    if isinstance(flow, Displacement):
-        solve_displacement(flow, p, q, config)
-        return True
-    objective = _objective(flow, p, q, domain, config)
-    return objective is None or train(objective, config, record, resume, on_state)
-
-
-def _objective(
-    flow: Flow, p: Tensor, q: Tensor, domain: Tensor | None, config: FitConfig
-) -> Objective | None:
-    inside = None if domain is None else flow.to_unit(domain.to(p)).float()
-    region = Region(torch.cat([p, q]).float(), inside)
-    if isinstance(flow, Node):
-        return SirenObjective(flow, p, q, region, config)
-    if isinstance(flow, Conjugate):
-        return ConjugateObjective(flow, p, q, region, config)
-    if isinstance(flow, Ifmorph):
-        return IfmorphObjective(flow, p, q, region)
-    return None
 
 
 def _report(

@@ -5,16 +5,18 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from splatmorph.errors import FitError
 from splatmorph.fitting.report import FitConfig
 from splatmorph.fitting.solve import affine_velocity, half_time_gap, solve_spline
+from splatmorph.fitting.task import Task
 from splatmorph.fitting.train import Recipe
-from splatmorph.flows.conjugate import Conjugate
+from splatmorph.flows.base import Flow
 from splatmorph.flows.ifmorph import Ifmorph
 from splatmorph.flows.jets import Jet
+from splatmorph.flows.ncf import NCF
 from splatmorph.flows.node import Node, runge_kutta
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
-from splatmorph.metrics import padded_box
 
 FINE_STEPS = 8
 """Runge-Kutta steps to t = 1/2 when the true metric is taken."""
@@ -28,6 +30,9 @@ BEYOND = 0.15
 none asks for out there can be anything."""
 SLOPES = 0.1
 """How much the square of a difference per length weighs against that of a place."""
+DIFFERENCE = 2e-2
+"""Frame units between points whose velocities are subtracted: in single precision it leaves four
+digits of a first derivative and two of a second."""
 MET = 1e-7
 """Mean squared gap of a landmark below which little is gained by meeting it closer."""
 
@@ -41,25 +46,68 @@ SIREN_RECIPES = {
 """By base and energy: with a spline to finish on, the network need not meet the landmarks."""
 
 
-class Region:
-    """Where the energy is sampled: the landmarks' padded box and, where given, the object."""
+class PaperObjective:
+    """Any flow that can be differentiated in its weights: the paper's eq. 3, at half-time.
 
-    def __init__(self, points: Tensor, domain: Tensor | None) -> None:
-        self.low, high = padded_box(points)
-        self.sides = high - self.low
-        self.domain = domain
+    |Φ(p, 1/2) - Φ(q, -1/2)|² + w · E_x |∂v/∂x|², or the Hessian energy where that is asked for.
+    The derivatives of the velocity are central differences along random directions, as the SIREN's
+    are, so that a flow need give none.
+    """
 
-    def sample(self, count: int, generator: torch.Generator, beyond: float = 0.0) -> Tensor:
-        """(count, dim) points; half of them from the object where there is one.
+    TIMES = (0.0, 0.5, 1.0)
 
-        ``beyond``: by what part of its sides the box is made larger at every face.
-        """
-        noise = (1 + 2 * beyond) * torch.rand(count, len(self.low), generator=generator) - beyond
-        box = self.low + noise.to(self.low) * self.sides
-        if self.domain is None:
-            return box
-        chosen = torch.randint(len(self.domain), (count // 2,), generator=generator)
-        return torch.cat([box[count // 2 :], self.domain[chosen.to(self.domain.device)]])
+    def __init__(self, flow: Flow, task: Task) -> None:
+        self.module = flow
+        self.parameters = list(flow.parameters())
+        if not self.parameters:
+            raise FitError(
+                f"flow '{flow.kind}' has no weights to train: tell splatmorph.fitting another way "
+                "to fit it, by fitted_by"
+            )
+        self.drawn = {name: value.clone() for name, value in flow.state_dict().items()}
+        self.p, self.q = task.p.float(), task.q.float()
+        self.region = task.region
+        self.energy = "hessian" if task.config.energy == "hessian" else "jacobian"
+        self.recipe = Recipe(1000, 5e-3, 500, 1e-3, 1e-5)
+
+    def initialise(self, seed: int) -> list[nn.Parameter]:
+        """As it came, with those weights drawn anew that are drawn."""
+        self.module.load_state_dict(self.drawn)
+        self.module.initialise(torch.Generator().manual_seed(seed))
+        return self.parameters
+
+    def loss(self, weight: float, generator: torch.Generator) -> Tensor:
+        """Mean squared gap plus ``weight`` times the energy."""
+        gap = self._gap(0.5).square().sum(1).mean()
+        if not gap.requires_grad:
+            raise FitError(
+                f"flow '{self.module.kind}' can't be differentiated in its weights: train it "
+                "without torch.no_grad, or tell splatmorph.fitting another way by fitted_by"
+            )
+        if weight == 0:
+            return gap
+        x = self.region.sample(self.recipe.samples, generator)
+        return gap + weight * self._energy(x, generator)
+
+    def _gap(self, t: float) -> Tensor:
+        return self.module.unit_forward(self.p, t) - self.module.unit_forward(self.q, t - 1)
+
+    def _energy(self, x: Tensor, generator: torch.Generator) -> Tensor:
+        count, dim = x.shape
+        many = 1 if self.energy == "jacobian" else 2
+        steps = DIFFERENCE * directions(many, count, dim, generator).to(x)
+        signs = torch.cartesian_prod(*[x.new_tensor([1.0, -1.0])] * many).reshape(-1, many)
+        moved = x + (signs[:, :, None, None] * steps).sum(1)
+        speeds = self.module.unit_velocity(moved.flatten(0, 1)).unflatten(0, (-1, count))
+        slope = (signs.prod(1)[:, None, None] * speeds).sum(0) / (2 * DIFFERENCE) ** many
+        return dim**many * slope.square().sum(1).mean()
+
+    def mse(self) -> float:
+        """Mean over times of the squared gap a coordinate."""
+        return float(torch.stack([self._gap(t) for t in self.TIMES]).square().mean())
+
+    def finish(self) -> None:
+        """Nothing is left to do."""
 
 
 class SirenObjective:
@@ -69,15 +117,15 @@ class SirenObjective:
     dim · |∂v e|², two for dim² · |∂²v(e, f)|².
     """
 
-    def __init__(self, flow: Node, p: Tensor, q: Tensor, region: Region, config: FitConfig) -> None:
+    def __init__(self, flow: Node, task: Task) -> None:
         assert isinstance(flow.field, SirenField)
         self.module = flow
         self.field = flow.field
-        self.ends = p, q
-        self.p, self.q = p.float(), q.float()
-        self.region = region
-        self.config = config
-        self.energy = "jacobian" if config.energy == "jacobian" else "hessian"
+        self.ends = task.p, task.q
+        self.p, self.q = task.p.float(), task.q.float()
+        self.region = task.region
+        self.config = task.config
+        self.energy = "jacobian" if task.config.energy == "jacobian" else "hessian"
         self.recipe = SIREN_RECIPES[self.field.base_name, self.energy]
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
@@ -125,7 +173,7 @@ class SirenObjective:
         base.affine += start.affine
 
 
-class ConjugateObjective:
+class NCFObjective:
     """NCF: the landmarks at both ends, and the spline's flow everywhere else.
 
     The spline is the field of least second-order energy that meets the landmarks, and is solved
@@ -138,9 +186,8 @@ class ConjugateObjective:
     part of either that it takes off, whatever their sizes.
     """
 
-    def __init__(
-        self, flow: Conjugate, p: Tensor, q: Tensor, region: Region, config: FitConfig
-    ) -> None:
+    def __init__(self, flow: NCF, task: Task) -> None:
+        p, q, config = task.p, task.q, task.config
         self.module = flow
         self.p, self.q = p.float(), q.float()
         self.recipe = Recipe(800, 4e-3, 150, 1.0, 0.05)
@@ -148,7 +195,7 @@ class ConjugateObjective:
         settings = FitConfig(smoothing=config.smoothing)
         solve_spline(spline, p, q, settings, lambda *_: None)
         generator = torch.Generator().manual_seed(config.seed)
-        middle = region.sample(STICKS, generator, BEYOND)
+        middle = task.region.sample(STICKS, generator, BEYOND)
         along = STICK / 2 * directions(1, len(middle), flow.dim, generator)[0].to(middle)
         sticks = torch.cat([middle - along, middle + along]).to(p)
         half = torch.full_like(sticks[:, :1], 0.5)
@@ -208,10 +255,10 @@ class IfmorphObjective:
 
     TIMES = (0.25, 0.5, 0.75)
 
-    def __init__(self, flow: Ifmorph, p: Tensor, q: Tensor, region: Region) -> None:
+    def __init__(self, flow: Ifmorph, task: Task) -> None:
         self.module = flow
-        self.p, self.q = p.float(), q.float()
-        self.region = region
+        self.p, self.q = task.p.float(), task.q.float()
+        self.region = task.region
         self.recipe = Recipe(2000, 1e-3, 300, 1e-3, 1e-3)
 
     def initialise(self, seed: int) -> list[nn.Parameter]:

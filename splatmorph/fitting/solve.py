@@ -9,10 +9,10 @@ import torch
 from torch import Tensor
 
 from splatmorph.fitting.report import FitConfig
-from splatmorph.flows.displacement import Displacement
 from splatmorph.flows.native import path
 from splatmorph.flows.node import runge_kutta
 from splatmorph.flows.spline import SplineField, SplineInterpolant
+from splatmorph.flows.thin_plate import ThinPlate
 from splatmorph.metrics import MANY_LANDMARKS
 
 SPLINE_STEPS = 12
@@ -144,7 +144,7 @@ def _distinct(p: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
     return mean[0], mean[1]
 
 
-def solve_displacement(flow: Displacement, p: Tensor, q: Tensor, config: FitConfig) -> None:
+def solve_displacement(flow: ThinPlate, p: Tensor, q: Tensor, config: FitConfig) -> None:
     """Make ``flow`` the thin-plate displacement between p and q (k, dim), and back."""
     SplineInterpolant(flow.onward, p, config.smoothing).set_values(q - p)
     SplineInterpolant(flow.back, q, config.smoothing).set_values(p - q)

@@ -1,69 +1,62 @@
-"""Flows and their baselines: warps of space that a morph travels along."""
+"""Flows and their baselines: warps of space that a morph travels along, a module each."""
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Mapping
 from typing import Any
 
 from splatmorph.errors import OptionError
-from splatmorph.flows.base import Flow
-from splatmorph.flows.conjugate import Conjugate
-from splatmorph.flows.displacement import Displacement, Still
+from splatmorph.flows.base import KINDS, Flow
 from splatmorph.flows.ifmorph import Ifmorph
-from splatmorph.flows.node import DEFAULT_STEPS, Node
+from splatmorph.flows.linear import Linear
+from splatmorph.flows.ncf import NCF
+from splatmorph.flows.node import FIELDS, Node
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
+from splatmorph.flows.thin_plate import ThinPlate
 
 __all__ = [
     "FIELDS",
     "KINDS",
-    "Conjugate",
-    "Displacement",
+    "NCF",
     "Flow",
     "Ifmorph",
+    "Linear",
     "Node",
     "SirenField",
     "SplineField",
-    "Still",
+    "ThinPlate",
     "flow_from_config",
     "make_flow",
 ]
 
-FIELDS: Mapping[str, type[SplineField | SirenField]] = {
-    field.name: field for field in (SplineField, SirenField)
-}
-"""The velocity fields that the node flow integrates."""
-
-_OTHERS: Mapping[str, type[Flow]] = {
-    flow.kind: flow for flow in (Conjugate, Ifmorph, Displacement, Still)
-}
-KINDS = (Node.kind, *_OTHERS)
-"""node and ncf are flows; ifmorph, tps and linear are the baselines."""
+# Every module here, so that a flow is known by lying in this folder.
+for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
+    importlib.import_module(_module.name)
 
 
 def make_flow(kind: str = Node.kind, dim: int = 3, **options: Any) -> Flow:
     """An unfitted flow in R^dim.
 
-    ``kind`` is one of ``KINDS``. ``node`` takes ``field``, one of ``FIELDS`` (default "spline"),
-    and ``steps``; every other option belongs to the field or flow and is documented there.
+    ``kind`` is one of ``KINDS``: node and ncf are flows; ifmorph, tps and linear the baselines. A
+    flow of one's own is among them once its class is defined. ``node`` takes ``field``, one of
+    ``FIELDS`` (default "spline"), and ``steps``; every other option belongs to the field or flow
+    and is documented there.
 
-    Raises ``OptionError`` on an unknown kind, field or option.
+    Raises:
+        OptionError: an unknown kind, field or option.
     """
     if kind not in KINDS:
-        raise OptionError(f"flow '{kind}' is unknown: choose one of {', '.join(KINDS)}")
-    try:
-        if kind != Node.kind:
-            return _OTHERS[kind](dim, **options).requires_grad_(False)
-        steps = options.pop("steps", DEFAULT_STEPS)
-        name = options.pop("field", SplineField.name)
-        if name not in FIELDS:
-            raise OptionError(f"field '{name}' is unknown: choose one of {', '.join(FIELDS)}")
-        return Node(dim, FIELDS[name](dim, **options), steps).requires_grad_(False)
-    except TypeError as error:
-        taken = str(error).split("__init__() ")[-1]
-        raise OptionError(f"flow '{kind}' {taken}") from None
+        raise OptionError(f"flow '{kind}' is unknown: choose one of {', '.join(sorted(KINDS))}")
+    return KINDS[kind].make(dim, **options).requires_grad_(False)
 
 
 def flow_from_config(config: Mapping[str, Any]) -> Flow:
-    """The flow that ``Flow.config`` described, ready for ``load_state_dict``."""
+    """The flow that ``Flow.config`` described, ready for ``load_state_dict``.
+
+    Raises:
+        OptionError: see :func:`make_flow`.
+    """
     return make_flow(**config)

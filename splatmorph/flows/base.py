@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, ClassVar
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from typing import Any, ClassVar, Self
 
 import torch
 from torch import Tensor, nn
 
+from splatmorph.errors import OptionError
+
 Times = Sequence[float] | Tensor
+
+KINDS: dict[str, type[Flow]] = {}
+"""Every flow that has been defined, by its ``kind``."""
 
 
 class Flow(nn.Module):
@@ -22,12 +29,30 @@ class Flow(nn.Module):
     sides fill [-1, 1]^dim, and that is saved with the weights. Everything is computed in the
     dtype of the points that are asked about. No parameter requires a gradient outside of ``fit``.
 
-    A subclass answers in unit coordinates by the methods whose names begin with ``unit_``.
+    A subclass names its ``kind``, by which :func:`make_flow` finds it, and answers in unit
+    coordinates by the methods whose names begin with ``unit_``. It must give ``unit_forward``; all
+    others have a default that differentiates it, which a subclass replaces where it knows better.
+    ``splatmorph.fitting`` fits it by the paper's objective unless told another way.
     """
 
     kind: ClassVar[str]
     center: Tensor
     scale: Tensor
+
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
+        if "kind" in vars(cls):
+            KINDS[cls.kind] = cls
+
+    @classmethod
+    def make(cls, dim: int, **options: Any) -> Self:
+        """An unfitted flow in R^dim, with the keyword arguments of its constructor.
+
+        Raises:
+            OptionError: there is no such option.
+        """
+        check_options(f"flow '{cls.kind}'", options, options_of(cls))
+        return cls(dim, **options)
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -89,23 +114,76 @@ class Flow(nn.Module):
         """What ``flow_from_config`` needs to rebuild this flow before its state is loaded."""
         return {"kind": self.kind, "dim": self.dim}
 
-    def unit_velocity(self, u: Tensor) -> Tensor:
-        """v(u) in the frame, (m, dim) -> (m, dim)."""
+    def initialise(self, generator: torch.Generator) -> None:
+        """Draw the weights anew, for a training: by default those of torch's own layers."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(generator.initial_seed())
+            for module in self.modules():
+                if callable(reset := getattr(module, "reset_parameters", None)):
+                    reset()
+
+    def unit_forward(self, u: Tensor, t: float | Tensor) -> Tensor:
+        """Φ(u, t) in the frame, (m, dim) -> (m, dim); ``t`` a float or one time a point (m,)."""
         raise NotImplementedError
+
+    def unit_velocity(self, u: Tensor) -> Tensor:
+        """v(u) = ∂Φ/∂t(u, 0) in the frame, (m, dim) -> (m, dim)."""
+        start = torch.zeros_like(u[:, 0])
+        return self._slopes(lambda t: self.unit_forward(u, t), start, u.requires_grad)
 
     def unit_velocity_jacobian(self, u: Tensor) -> Tensor:
         """∂v/∂u in the frame, (m, dim) -> (m, dim, dim)."""
-        raise NotImplementedError
-
-    def unit_forward(self, u: Tensor, t: float | Tensor) -> Tensor:
-        """Φ(u, t) in the frame, (m, dim) -> (m, dim)."""
-        raise NotImplementedError
+        return self._slopes(self.unit_velocity, u, u.requires_grad)
 
     def unit_trajectory(
         self, u: Tensor, times: list[float], *, jacobian: bool
     ) -> tuple[Tensor, Tensor | None]:
         """Φ(u, t) for every t and, where asked, ∂Φ/∂u: (T, m, dim), (T, m, dim, dim)."""
-        raise NotImplementedError
+        moved = u.new_empty(len(times), *u.shape)
+        slopes = u.new_empty(len(times), *u.shape, self.dim) if jacobian else None
+        for i, t in enumerate(times):
+            moved[i] = self.unit_forward(u, t)
+            if slopes is not None:
+                slopes[i] = self._slopes(partial(self.unit_forward, t=t), u, u.requires_grad)
+        return moved, slopes
+
+    @torch.enable_grad()
+    def _slopes(self, function: Callable[[Tensor], Tensor], x: Tensor, linked: bool) -> Tensor:
+        """∂f/∂x of f, (m, …) -> (m, dim), point by point: (m, dim, …).
+
+        ``linked``: whether what f reaches beside x is differentiated too.
+        """
+        if not x.requires_grad:
+            x = x.detach().requires_grad_()
+        keep = linked or any(parameter.requires_grad for parameter in self.parameters())
+        y = function(x)
+        if not y.requires_grad:
+            return x.new_zeros(*y.shape, *x.shape[1:])
+        rows = [
+            torch.autograd.grad(
+                y[:, i].sum(), x, retain_graph=True, create_graph=keep, materialize_grads=True
+            )[0]
+            for i in range(self.dim)
+        ]
+        return torch.stack(rows, dim=1)
+
+
+def options_of(made: Callable[..., Any]) -> tuple[str, ...]:
+    """The keyword arguments of a flow's or a field's constructor."""
+    parameters = inspect.signature(made).parameters.values()
+    return tuple(one.name for one in parameters if one.kind is one.KEYWORD_ONLY)
+
+
+def check_options(what: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
+    """Refuse options that ``what`` doesn't have.
+
+    Raises:
+        OptionError: names the first of them, and those that there are.
+    """
+    for name in given:
+        if name not in known:
+            there = f"choose of {', '.join(known)}" if known else "it has none"
+            raise OptionError(f"{what} has no option '{name}': {there}")
 
 
 def as_floats(times: Times) -> list[float]:

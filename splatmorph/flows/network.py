@@ -60,6 +60,10 @@ class Network(nn.Module):
             weight.copy_(noise[:, :fan_in] * bound * (self.output_scale if last else 1))
             bias.copy_(noise[:, fan_in] * (0 if last else 1 / math.sqrt(fan_in)))
 
+    def reset_parameters(self) -> None:
+        """Draw the weights anew by torch's own generator, as its layers do."""
+        self.initialise(torch.default_generator)
+
     def forward(self, x: Tensor) -> Tensor:
         """(m, in) -> (m, out), in the dtype of x."""
         for weight, bias, omega in zip(self.weights, self.biases, self.omegas, strict=False):

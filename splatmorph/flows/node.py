@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Self
 
 import torch
 from torch import Tensor
 
-from splatmorph.flows.base import Flow, as_column
+from splatmorph.errors import OptionError
+from splatmorph.flows.base import Flow, as_column, check_options, options_of
 from splatmorph.flows.native import path
 from splatmorph.flows.siren import SirenField
 from splatmorph.flows.spline import SplineField
 
 Field = SplineField | SirenField
+
+FIELDS: Mapping[str, type[Field]] = {field.name: field for field in (SplineField, SirenField)}
+"""The velocity fields that can be named."""
 
 DEFAULT_STEPS = 16
 """Runge-Kutta steps a unit of t, where ``fit`` has not chosen better."""
@@ -34,6 +38,26 @@ class Node(Flow):
         super().__init__(dim)
         self.field = field
         self.steps = steps
+
+    @classmethod
+    def make(
+        cls,
+        dim: int,
+        *,
+        field: str = SplineField.name,
+        steps: int = DEFAULT_STEPS,
+        **options: Any,
+    ) -> Self:
+        """An unfitted flow in R^dim; ``field`` is one of ``FIELDS``, ``options`` are the field's.
+
+        Raises:
+            OptionError: there is no such field or option.
+        """
+        if field not in FIELDS:
+            raise OptionError(f"field '{field}' is unknown: choose one of {', '.join(FIELDS)}")
+        known = ("field", "steps", *options_of(FIELDS[field]))
+        check_options(f"flow '{cls.kind}' with a {field} field", options, known)
+        return cls(dim, FIELDS[field](dim, **options), steps)
 
     def config(self) -> dict[str, Any]:
         """Kind, dimension, steps and the field with its options."""

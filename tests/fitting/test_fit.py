@@ -171,7 +171,7 @@ def test_non_finite_training_stops(
     options: dict[str, object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     flow = make_flow(**options)
-    objective = {"node": "Siren", "ncf": "Conjugate", "ifmorph": "Ifmorph"}[flow.kind]
+    objective = {"node": "Siren", "ncf": "NCF", "ifmorph": "Ifmorph"}[flow.kind]
     monkeypatch.setattr(
         f"splatmorph.fitting.objectives.{objective}Objective.loss",
         lambda *_: torch.tensor(math.nan, requires_grad=True),

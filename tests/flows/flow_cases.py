@@ -6,13 +6,13 @@ import torch
 from torch import Tensor
 
 from splatmorph.flows import (
-    Conjugate,
-    Displacement,
+    NCF,
     Flow,
     Ifmorph,
     Node,
     SirenField,
     SplineField,
+    ThinPlate,
     make_flow,
 )
 from splatmorph.flows.spline import SplineInterpolant
@@ -34,13 +34,13 @@ def random_flow(options: dict[str, str], dim: int, seed: int) -> Flow:
         random_spline(flow.field.base, generator, size=0.05)
         flow.field.network.initialise(generator)
         flow.steps = 32  # drawn networks are steeper than fitted ones, for which `fit` chooses
-    elif isinstance(flow, Conjugate):
+    elif isinstance(flow, NCF):
         flow.initialise(generator)
         flow.generator.copy_(0.3 * torch.randn(dim, dim, generator=generator))
         flow.drift.copy_(0.3 * torch.randn(dim, generator=generator))
     elif isinstance(flow, Ifmorph):
         flow.network.initialise(generator)
-    elif isinstance(flow, Displacement):
+    elif isinstance(flow, ThinPlate):
         random_spline(flow.onward, generator)
         random_spline(flow.back, generator)
     flow.set_frame(torch.linspace(2.0, 3.0, dim), 1.7)

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatmorph.flows import Conjugate, make_flow
+from splatmorph.flows import NCF, make_flow
 from splatmorph.flows.jets import Jet
 from splatmorph.flows.network import ACTIVATIONS, Network
 
@@ -69,7 +69,7 @@ def test_product_obeys_leibniz() -> None:
 @pytest.mark.parametrize("dim", [2, 3])
 def test_conjugate_flow_jets_are_autograd(dim: int) -> None:
     flow = make_flow("ncf", dim, width=8, layers=4).double()
-    assert isinstance(flow, Conjugate)
+    assert isinstance(flow, NCF)
     generator = torch.Generator().manual_seed(1)
     flow.initialise(generator)
     flow.generator.copy_(0.5 * torch.randn(dim, dim, generator=generator))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatmorph.errors import OptionError
-from splatmorph.flows import Flow, Node, SplineField, Still, flow_from_config, make_flow
+from splatmorph.flows import Flow, Linear, Node, SplineField, flow_from_config, make_flow
 
 FLOWS: tuple[dict[str, str], ...] = (
     {"kind": "node", "field": "spline"},
@@ -156,7 +156,7 @@ def test_spline_field_turns_with_the_world() -> None:
 
 def test_linear_moves_nothing() -> None:
     flow = make_flow("linear", 3)
-    assert isinstance(flow, Still)
+    assert isinstance(flow, Linear)
     x = points(flow, 4, 0)
     assert torch.equal(flow(x, 0.7), x)
     assert not flow.velocity(x).any()

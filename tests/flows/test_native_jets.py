@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from renderer.cpp import plain_twins
-from splatmorph.flows.conjugate import Conjugate
 from splatmorph.flows.jets import Jet
 from splatmorph.flows.native.jet import takes
+from splatmorph.flows.ncf import NCF
 from splatmorph.flows.network import Network
 
 FEW, MANY = 33, 700
@@ -78,7 +78,7 @@ def test_network(kind: str, count: int) -> None:
 
 @pytest.mark.parametrize("kind", JETS)
 def test_couplings_and_their_inverses(kind: str) -> None:
-    flow = Conjugate(3, layers=4)
+    flow = NCF(3, layers=4)
     flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(3, *JETS[kind], FEW)
     for push in (flow._push, flow._push_inverse):
@@ -86,7 +86,7 @@ def test_couplings_and_their_inverses(kind: str) -> None:
 
 
 def test_couplings_of_the_plane() -> None:
-    flow = Conjugate(2, layers=6)
+    flow = NCF(2, layers=6)
     flow.initialise(torch.Generator().manual_seed(1))
     jet = drawn_jet(2, 2, ((0, 0), (0, 1), (1, 1)), MANY)
     for push in (flow._push, flow._push_inverse):

@@ -1,4 +1,4 @@
-"""Classical baselines: a displacement scaled by t, and no warp at all."""
+"""tps: the baseline of a thin-plate displacement, scaled by t."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from splatmorph.flows.base import Flow, as_column
 from splatmorph.flows.spline import SplineField
 
 
-class Displacement(Flow):
+class ThinPlate(Flow):
     """Φ(x, t) = x + t · s(x) for t ≥ 0 and x + |t| · r(x) for t ≤ 0.
 
     s is the thin-plate spline that takes the source landmarks to the target's, r the one that
@@ -63,31 +63,3 @@ class Displacement(Flow):
         for side, weight in sides:
             slopes += weight[..., None] * side.jacobian(u)
         return moved, slopes
-
-
-class Still(Flow):
-    """Φ(x, t) = x: what blending without a warp is compared by."""
-
-    kind = "linear"
-
-    def unit_velocity(self, u: Tensor) -> Tensor:
-        """Zero."""
-        return torch.zeros_like(u)
-
-    def unit_velocity_jacobian(self, u: Tensor) -> Tensor:
-        """Zero."""
-        return u.new_zeros(len(u), self.dim, self.dim)
-
-    def unit_forward(self, u: Tensor, t: float | Tensor) -> Tensor:
-        """u itself."""
-        return u
-
-    def unit_trajectory(
-        self, u: Tensor, times: list[float], *, jacobian: bool
-    ) -> tuple[Tensor, Tensor | None]:
-        """u at every t, the identity as its Jacobian."""
-        moved = u.expand(len(times), *u.shape).clone()
-        if not jacobian:
-            return moved, None
-        identity = torch.eye(self.dim).to(u)
-        return moved, identity.expand(len(times), len(u), self.dim, self.dim).clone()

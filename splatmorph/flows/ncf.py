@@ -51,7 +51,7 @@ class Coupling(nn.Module):
         return Jet.join(jet.columns(self.kept), moved).columns(self.back)
 
 
-class Conjugate(Flow):
+class NCF(Flow):
     """Φ(x, t) = H⁻¹(Ψ(H(x), t)), Ψ(z, t) = e^{At} z + ∫₀ᵗ e^{Aτ} b dτ (paper, eq. 5).
 
     H is a chain of ``layers`` affine couplings, so that it is a bijection of R^dim itself and Φ
