@@ -36,7 +36,7 @@ def export(
     ] = None,
     t: TimesOption = None,
     format: Annotated[
-        Literal["ply", "compressed.ply", "spz", "splat", "glb", "gltf"] | None,
+        Literal["ply", "compressed.ply", "spz", "sog", "splat", "glb", "gltf"] | None,
         Parameter(help="ply by default, which alone keeps every bit; the others are smaller."),
     ] = None,
     prune: Annotated[

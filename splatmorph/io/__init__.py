@@ -14,6 +14,7 @@ from splatmorph.io.dialects import STRANGE_FILES
 from splatmorph.io.gltf import gltf_layout, read_gltf, write_gltf
 from splatmorph.io.ply import ply_layout, read_ply, write_ply
 from splatmorph.io.reading import reading
+from splatmorph.io.sog import META, read_sog, sog_layout, write_sog
 from splatmorph.io.splat import read_splat, write_splat
 from splatmorph.io.spz import read_spz, spz_layout, write_spz
 
@@ -44,6 +45,7 @@ GLTF = Format(
     "rotations, scales and opacities are rounded to floats",
     up="y",
 )
+SOG = Format(read_sog, write_sog, sog_layout, ROUNDED)
 FORMATS = {
     ".ply": Format(read_ply, write_ply, ply_layout),
     ".compressed.ply": Format(read_ply, write_compressed_ply, ply_layout, ROUNDED),
@@ -55,6 +57,8 @@ FORMATS = {
     ),
     ".glb": GLTF,
     ".gltf": GLTF,
+    ".sog": SOG,
+    META: SOG,
     ".spz": Format(read_spz, write_spz, spz_layout, ROUNDED),
 }
 """By extension."""
@@ -117,9 +121,9 @@ def extension_of(path: str | Path) -> str:
 
 
 def stem_of(path: str | Path) -> str:
-    """The name of a file without what :func:`extension_of` gives."""
+    """A file's name without what :func:`extension_of` gives; its folder's if nothing is left."""
     name = Path(path).name
-    return name[: len(name) - len(extension_of(path))]
+    return name[: len(name) - len(extension_of(path))] or Path(path).resolve().parent.name
 
 
 def _format_of(path: Path) -> Format:

@@ -19,7 +19,7 @@ from splatmorph.io.axes import from_frame
 
 MakeGaussians = Callable[..., Gaussians]
 
-LOOSE = {".compressed.ply": 2e-3, ".spz": 2e-4}
+LOOSE = {".compressed.ply": 2e-3, ".spz": 2e-4, ".sog": 4e-5}
 """World units that centers may move in a box of 2."""
 
 VALIDATE = """
@@ -37,7 +37,9 @@ def transform() -> Callable[[Path, Path], Gaussians]:
         pytest.skip("npm's @playcanvas/splat-transform is not installed")
 
     def converted(source: Path, target: Path) -> Gaussians:
-        subprocess.run([program, "-q", "-w", source, target], check=True, capture_output=True)
+        subprocess.run(
+            [program, "-q", "-w", "-g", "cpu", source, target], check=True, capture_output=True
+        )
         return io.read(target)
 
     return converted
@@ -50,9 +52,13 @@ def near(a: Gaussians, b: Gaussians, center: float = 1e-6) -> None:
     assert len(partner.unique()) == len(a)
     b = b.select(partner)
     assert torch.allclose(a.means, b.means, atol=center)
-    assert torch.allclose(a.scales, b.scales, rtol=0.04)
-    assert torch.allclose(a.opacities, b.opacities, atol=1 / 255)
-    assert torch.allclose(a.sh[:, 0], b.sh[:, 0], atol=0.02)
+    assert torch.allclose(a.opacities, b.opacities, atol=1.5 / 255)
+    # Some drop the colours of what can't be seen.
+    seen = a.opacities > 1 / 255
+    a, b = a.select(seen), b.select(seen)
+    for stored, found in ((a.log_scales, b.log_scales), (a.sh[:, 0], b.sh[:, 0])):
+        assert (stored - found).abs().mean() < 0.025
+        assert (stored - found).abs().max() < 0.5
 
 
 def test_the_validator_of_khronos_finds_nothing_but_what_it_does_not_know(
@@ -73,7 +79,7 @@ def test_the_validator_of_khronos_finds_nothing_but_what_it_does_not_know(
     assert all("KHR_gaussian_splatting" in json.dumps(one) for one in issues)
 
 
-@pytest.mark.parametrize("extension", [".glb", ".spz", ".compressed.ply"])
+@pytest.mark.parametrize("extension", [".glb", ".spz", ".sog", ".compressed.ply"])
 def test_splat_transform_writes_what_we_read(
     tmp_path: Path,
     make_gaussians: MakeGaussians,
@@ -87,6 +93,16 @@ def test_splat_transform_writes_what_we_read(
     flips = {".glb": (-1.0, -1.0, 1.0), ".spz": (1.0, -1.0, -1.0)}
     flip = torch.tensor(flips.get(extension, (1.0, 1.0, 1.0)))
     near(found, replace(splats, means=splats.means * flip), LOOSE.get(extension, 1e-6))
+
+
+def test_splat_transform_reads_our_sog(
+    tmp_path: Path,
+    make_gaussians: MakeGaussians,
+    transform: Callable[[Path, Path], Gaussians],
+) -> None:
+    splats = make_gaussians(300, 2)
+    io.write(tmp_path / "a.sog", splats)
+    near(transform(tmp_path / "a.sog", tmp_path / "b.ply"), splats, LOOSE[".sog"])
 
 
 def test_splat_transform_reads_our_spz_and_turns_it(
@@ -104,7 +120,7 @@ def test_splat_transform_reads_our_spz_and_turns_it(
     assert torch.allclose(found.means, splats.means * torch.tensor([-1.0, 1, -1]), atol=1e-6)
 
 
-@pytest.mark.parametrize("extension", [".splat", ".spz", ".compressed.ply"])
+@pytest.mark.parametrize("extension", [".splat", ".spz", ".sog", ".compressed.ply"])
 def test_gaussforge_reads_and_writes_as_we_do(
     tmp_path: Path, make_gaussians: MakeGaussians, extension: str
 ) -> None:

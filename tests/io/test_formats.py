@@ -170,6 +170,7 @@ def test_values_beyond_the_range_are_clipped(
     "name",
     [
         "splat-transform.compressed.ply",
+        "splat-transform.sog",
         "ply2splat.splat",
         "niantic-v2.spz",
         "niantic-v3.spz",
