@@ -78,7 +78,7 @@ class Morph:
     """Split the splats that the flow stretches on their way from one end to the other beyond so
     many times their length; only strictly between 0 and 1, where a half is fading."""
     _split_halves: dict[int, Gaussians] = field(init=False, default_factory=dict)
-    _agreed: dict[int, Agreement] = field(init=False, default_factory=dict)
+    _agreed: list[Agreement] = field(init=False, default_factory=list)
 
     def __post_init__(self) -> None:
         chosen(RAMPS, self.ramp, "ramp")
@@ -173,31 +173,46 @@ class Morph:
         if not BLENDS[self.blend] or not times:
             travels = self._travels(parts, times)
             return lambda t, weight: ramp(travels(t), weight)
-        agreed = self.agreement()[leaves]
-        degree = math.isqrt(agreed.drift.sh.shape[1]) - 1
-        travels = self._travels(parts.with_sh_degree(degree), times, agreed.drift)
+        agreed = self.agreement()[leaves < 0]
+        travels = self._travels(agreed.taken(parts), times, agreed.drift)
         return lambda t, weight: ramp(travels(t), agreed.exponents(weight))
 
-    def agreement(self) -> dict[int, Agreement]:
-        """How the halves agree, by the direction in which they fade; found once."""
+    def half(self, index: int, t: float) -> Gaussians:
+        """The source (0) or the target (1) on its way at t in [0, 1], in the source's place.
+
+        It is not faded, and has taken on as much of the other as it has then in the morph.
+        """
+        leaves = -1 if index else 1
+        parts = self._parts(self.aligned if index else self.source, leaves)
+        if not BLENDS[self.blend] or t == index:
+            return self._travels(parts, [t - index])(t - index)
+        agreed = self.agreement()[index]
+        return self._travels(agreed.taken(parts), [t - index], agreed.drift)(t - index)
+
+    def agreement(self) -> tuple[Agreement, Agreement]:
+        """How source and target agree, found once; nothing changes where they don't."""
         if not self._agreed:
             degree = max(self.source.sh_degree, self.target.sh_degree)
-            ways = (1, -1)
-            halves = zip((self.source, self.aligned), ways, strict=True)
-            rest = [self._parts(half, way).with_sh_degree(degree) for half, way in halves]
-            middle = [
-                self._travels(half, [w / 2])(w / 2) for half, w in zip(rest, ways, strict=True)
-            ]
-            turns = [
-                colour_turns(half, self.flow, w / 2, self.covariance)
-                for half, w in zip(rest, ways, strict=True)
-            ]
+            ways = ((self.source, 1), (self.aligned, -1))
+            rest = [self._parts(half, way).with_sh_degree(degree) for half, way in ways]
+            if not BLENDS[self.blend]:
+                self._agreed.extend(map(Agreement.none, rest))
+                return self._agreed[0], self._agreed[1]
+            half_way = [(part, way / 2) for part, (_, way) in zip(rest, ways, strict=True)]
+            middle = [self._travels(part, [t])(t) for part, t in half_way]
+            turns = [colour_turns(part, self.flow, t, self.covariance) for part, t in half_way]
             held = torch.empty(0, 3)
             if self.landmarks is not None:
                 held = self.flow.trajectory(self.landmarks, [0.5])[0]
-            found = agree(rest, middle, turns, held)
-            self._agreed.update(zip(ways, found, strict=True))
-        return self._agreed
+            self._agreed.extend(agree(rest, middle, turns, held))
+        return self._agreed[0], self._agreed[1]
+
+    def with_ramp(self, ramp: str) -> Morph:
+        """The same morph under another ramp, with what was found out about it already."""
+        other = replace(self, ramp=ramp)
+        other._split_halves.update(self._split_halves)
+        other._agreed.extend(self._agreed)
+        return other
 
     def _travels(
         self, gaussians: Gaussians, times: Sequence[float], drift: Drift | None = None

@@ -14,7 +14,6 @@ from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.ramps import RAMPS
-from splatmorph.morph.transport import COVARIANCES
 from splatmorph.rendering import Colour, render
 from splatmorph.view.subject import Subject, thin
 
@@ -149,11 +148,10 @@ class Viewer:
         """The morph, or one side carried along at full opacity."""
         morph = self.subject.morph
         if wanted.part == "morph":
-            return replace(morph, ramp=wanted.ramp).at(wanted.t)
-        side, t = (
-            (morph.source, wanted.t) if wanted.part == "source" else (morph.target, wanted.t - 1)
-        )
-        return COVARIANCES[morph.covariance](side, morph.flow, [t])(0)
+            if wanted.ramp != morph.ramp:
+                self.subject = replace(self.subject, morph=morph.with_ramp(wanted.ramp))
+            return self.subject.morph.at(wanted.t)
+        return morph.half(int(wanted.part == "target"), wanted.t)
 
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)

@@ -90,7 +90,7 @@ def test_a_splat_morphed_into_itself_takes_on_nothing() -> None:
     morph = Morph(SOURCE, SOURCE, still(), blend="agree")
     middle, alone = (torch.from_numpy(picture(g, SOURCE)) for g in (morph.at(0.5), SOURCE))
     assert psnr(middle, alone) > 40
-    for agreement in morph.agreement().values():
+    for agreement in morph.agreement():
         assert agreement.drift.offset.abs().max() == 0
         assert agreement.drift.sh.abs().max() < 1e-4
         assert (agreement.lead - 0.5).abs().max() < 1e-4

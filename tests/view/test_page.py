@@ -226,6 +226,25 @@ class TestPicture:
             morph = Morph(shown.morph.source, shown.morph.target, shown.morph.flow, ramp=ramp)
             assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(0.3))) > 35
 
+    @pytest.mark.parametrize("ramp", ["linear", "calibrated"])
+    def test_halves_that_agree_are_the_rasterizers(self, browser, tmp_path, ramp):
+        shown = subject(blend="agree", ramp=ramp)
+        # A body that the target lacks, to be faded in proportion.
+        extra = blob(300, 5, (0.3, 0.7, 0.3))
+        extra = replace(extra, means=0.5 * extra.means - torch.tensor([0.0, 2.5, 0.0]))
+        source = Gaussians.union(shown.morph.source, extra)
+        morph = Morph(source, shown.morph.target, Swirl(0.4), blend="agree", ramp=ramp)
+        shown = replace(shown, morph=morph)
+        assert morph.agreement()[0].density.max() > 1
+        write_page(tmp_path / "a.html", shown, background=GROUND)
+        for t in (0.15, 0.5, 0.8):
+            browser.open(tmp_path / "a.html", f"controls=0&t={t}&azimuth=20")
+            assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(t))) > 35, t
+        browser.open(tmp_path / "a.html", "controls=0&t=0.4&part=target")
+        alone = morph.half(1, 0.4)
+        assert psnr(browser.screenshot() / 255, our_picture(browser, alone)) > 35
+        assert browser.complaints() == []
+
     def test_a_part_alone_is_the_one_input_carried_along(self, browser, tmp_path):
         shown = subject(covariance="fixed")
         write_page(tmp_path / "a.html", shown, background=GROUND)

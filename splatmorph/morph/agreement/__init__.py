@@ -10,6 +10,7 @@ Everything is decided once a morph, at the middle shape, where both halves are c
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -34,6 +35,22 @@ class Agreement:
     """(n,) in (0, 1): the half's weight in the middle; the other has 1 minus that there."""
     density: Tensor
     """(n,) ≥ 0: of the stack that a splat without counterpart stands in; see ``fade``."""
+
+    @staticmethod
+    def none(half: Gaussians) -> Agreement:
+        """Nothing becomes of it."""
+        n = len(half)
+        drift = Drift(torch.zeros(n, 3), torch.zeros(n, 3, 3), torch.zeros_like(half.sh))
+        return Agreement(drift, torch.full((n,), 0.5), torch.zeros(n))
+
+    def select(self, index: Tensor) -> Agreement:
+        """That of the splats at ``index``."""
+        drift = Drift(*(each[index] for each in vars(self.drift).values()))
+        return Agreement(drift, self.lead[index], self.density[index])
+
+    def taken(self, half: Gaussians) -> Gaussians:
+        """The half with room for the harmonics that it takes on."""
+        return half.with_sh_degree(math.isqrt(self.drift.sh.shape[1]) - 1)
 
     def exponents(self, weight: float) -> Tensor:
         """How much of each splat is left when ``weight`` in (0, 1) of the half is: (n,)."""

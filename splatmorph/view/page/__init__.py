@@ -77,11 +77,11 @@ def write_page(
     inputs = (subject.morph.source, subject.morph.target)
     visible = [int((side.opacities >= VISIBLE).sum()) for side in inputs]
     keep = min(1.0, max_splats / max(1, sum(visible)))
-    source, target = (
-        side.select(thin(side, max(1, int(keep * count))))
-        for side, count in zip(inputs, visible, strict=True)
-    )
-    packed = pack(subject, source, target, up)
+    kept = [
+        thin(side, max(1, int(keep * count))) for side, count in zip(inputs, visible, strict=True)
+    ]
+    source, target = (side.select(index) for side, index in zip(inputs, kept, strict=True))
+    packed = pack(subject, (kept[0], kept[1]), up)
     where, payload = _one_block(packed.arrays)
     report = PageReport(len(source) + len(target), sum(visible), packed.knots, packed.error_px, 0)
     scene = {

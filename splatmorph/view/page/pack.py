@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,8 +13,10 @@ from numpy.typing import NDArray
 
 from renderer import orbit
 from splatmorph.gaussians import Gaussians
+from splatmorph.morph.agreement.fade import DENSEST_STACK
 from splatmorph.morph.covariance import polar_rotation
 from splatmorph.morph.ramps import RAMPS
+from splatmorph.morph.transport import Drift
 from splatmorph.view.knots import FINEST, fewest_knots, knot_times, knot_weights
 from splatmorph.view.subject import Subject
 
@@ -45,8 +48,11 @@ class Packed:
     """The largest distance between a stored path and the flow's, in a 1080-pixel picture."""
 
 
-def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Packed:
-    """Pack ``source`` and ``target`` (thinned) with the motion that ``subject``'s flow gives."""
+def pack(subject: Subject, kept: tuple[torch.Tensor, torch.Tensor], up: str) -> Packed:
+    """Pack those splats of source and target that are ``kept``, and all that moves them."""
+    morph = subject.morph
+    sides = (morph.source.select(kept[0]), morph.target.select(kept[1]))
+    agreements = [one.select(index) for one, index in zip(morph.agreement(), kept, strict=True)]
     height = PICTURE_HEIGHT
     camera = orbit(subject.bounds(), [0.0], up=up, width=height, height=height)[0]
     center = subject.bounds().center
@@ -54,10 +60,15 @@ def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Pac
     pixel = distance / float(camera.K[1, 1])
     right, down, forward = camera.viewmat[:3, :3]
 
-    motion = _Motion(subject, (source, target), TOLERANCE * pixel)
+    drifts = [one.drift for one in agreements]
+    motion = _Motion(subject, sides, drifts, TOLERANCE * pixel)
     moves, move_scale = _rounded(motion.moves())
     deforms, deform_scale = _rounded_shapes(motion.deforms())
-    still, ranges = _at_rest(Gaussians.union(source, target))
+    still, ranges = _at_rest(Gaussians.union(*sides), torch.cat([one.sh for one in drifts]))
+    lead = torch.cat([one.lead for one in agreements]).double().numpy(force=True)
+    still["others"] |= np.rint(256 * lead).astype(np.uint32) << 24
+    density = torch.cat([one.density for one in agreements]).double().numpy(force=True)
+    still["densities"] = np.rint(255 * np.sqrt(density / DENSEST_STACK)).astype(np.uint8)
     ends = {
         "source": motion.landmarks(subject.source_points, 0),
         "target": motion.landmarks(subject.target_points, 1),
@@ -71,6 +82,7 @@ def pack(subject: Subject, source: Gaussians, target: Gaussians, up: str) -> Pac
         "rampNames": list(RAMPS),
         "rampSteps": RAMP_STEPS,
         "growthStep": GROWTH_STEP,
+        "densest": DENSEST_STACK,
         "landmarks": {"names": list(subject.landmark_names), **ends},
         "camera": {
             "center": center.tolist(),
@@ -92,10 +104,14 @@ class _Motion:
     """The paths of both sides, at the fewest knots that keep them within ``tolerance``."""
 
     def __init__(
-        self, subject: Subject, sides: tuple[Gaussians, Gaussians], tolerance: float
+        self,
+        subject: Subject,
+        sides: tuple[Gaussians, Gaussians],
+        drifts: Sequence[Drift],
+        tolerance: float,
     ) -> None:
         self.flow = subject.morph.flow
-        self.sides = sides
+        self.sides, self.drifts = sides, drifts
         self.covariance = subject.morph.covariance
         finest = knot_times(FINEST)
         paths = [
@@ -123,7 +139,9 @@ class _Motion:
         found = []
         for i, side in enumerate(self.sides):
             paths = self.paths(side.means, i, self._ways(i))
-            found.append((paths - side.means.double().numpy(force=True)).swapaxes(0, 1))
+            moved = (paths - side.means.double().numpy(force=True)).swapaxes(0, 1)
+            offset = self.drifts[i].offset.double().numpy(force=True)
+            found.append(moved + np.abs(self._ways(i) - i)[:, None] * offset[:, None])
         return np.concatenate(found)
 
     @torch.no_grad()
@@ -134,7 +152,9 @@ class _Motion:
         found = []
         for i, side in enumerate(self.sides):
             times = (self._ways(i) - i).tolist()
-            shapes = self.flow.trajectory_jacobian(side.means, times)[1].flatten(0, 1)
+            flowed = self.flow.trajectory_jacobian(side.means, times)[1]
+            ways = flowed.new_tensor(times).abs()[:, None, None, None]
+            shapes = (flowed + ways * self.drifts[i].slope.to(flowed)).flatten(0, 1)
             if self.covariance == "rotate":
                 shapes = polar_rotation(shapes.permute(1, 2, 0)).permute(2, 0, 1)
             found.append(shapes.unflatten(0, (len(times), -1)).transpose(0, 1))
@@ -149,6 +169,8 @@ class _Motion:
             step = max(1, len(side) // SAMPLE)
             start, kept = side.means[::step], kept[::step]
             truth = self.paths(start, i, checks) - start.double().numpy(force=True)
+            offset = self.drifts[i].offset[::step].double().numpy(force=True)
+            truth = truth + np.abs(checks - i)[:, None, None] * offset
             for t, moved in zip(checks, truth, strict=True):
                 weights = knot_weights(self.times, t)
                 weights = weights[1:] if i == 0 else weights[:-1]
@@ -157,20 +179,28 @@ class _Motion:
         return worst
 
 
-def _at_rest(both: Gaussians) -> tuple[dict[str, NDArray[np.generic]], dict[str, object]]:
+def _at_rest(
+    both: Gaussians, change: torch.Tensor
+) -> tuple[dict[str, NDArray[Any]], dict[str, object]]:
+    """Splats at their own ends, with the colours that ``change`` (n, k, 3) makes of them."""
     log_scales = both.log_scales.double().numpy(force=True)
     top = float(log_scales.max())
     low = max(float(log_scales.min()), top - LOG_SCALE_SPAN)
     share = np.clip((log_scales - low) / max(top - low, 1e-6), 0, 1)
     steps = np.rint(share * [2047, 2047, 1023]).astype(np.uint32)
-    colours = np.maximum(0.5 + SH0 * both.sh[:, 0].double().numpy(force=True), 0)
-    brightest = float(max(1.0, np.quantile(colours, 0.999)))
+    base = both.sh[:, 0].double()
+    own, other = (
+        np.maximum(0.5 + SH0 * sh.numpy(force=True), 0) for sh in (base, base + change[:, 0])
+    )
+    brightest = float(max(1.0, np.quantile(own, 0.999), np.quantile(other, 0.999)))
     # Opacities as square roots: most are small, and small ones need the finer steps.
     roots = np.sqrt(both.opacities.double().numpy(force=True))
-    bytes_ = np.column_stack([np.minimum(colours / brightest, 1), roots])
+    bytes_ = np.column_stack([np.minimum(own / brightest, 1), roots])
+    others = np.column_stack([np.minimum(other / brightest, 1), 0 * roots])
     arrays = {
         "centers": both.means.float().numpy(force=True),
         "colours": np.rint(255 * bytes_).astype(np.uint8).view("<u4").ravel(),
+        "others": np.rint(255 * others).astype(np.uint8).view("<u4").ravel(),
         "rotations": _packed_rotations(both.quats.double().numpy(force=True)),
         "logScales": steps[:, 0] | steps[:, 1] << 11 | steps[:, 2] << 22,
     }

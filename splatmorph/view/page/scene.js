@@ -1,6 +1,6 @@
 // The scene as Python packed it: JSON beside a deflated block of arrays.
 
-const ARRAY_TYPES = { f4: Float32Array, u4: Uint32Array, u2: Uint16Array, i2: Int16Array, i1: Int8Array };
+const ARRAY_TYPES = { f4: Float32Array, u4: Uint32Array, u1: Uint8Array, u2: Uint16Array, i2: Int16Array, i1: Int8Array };
 
 async function readScene() {
   const scene = JSON.parse(document.getElementById("scene").textContent);
@@ -15,6 +15,7 @@ async function readScene() {
     scene[name] = new ARRAY_TYPES[type](buffer, offset, length);
   }
   scene.count = scene.source.count + scene.target.count;
+  scene.density = (i) => scene.densest * (scene.densities[i] / 255) ** 2;
   return scene;
 }
 
@@ -31,20 +32,32 @@ function moveWeights(scene, t) {
   return { source: weights.slice(1), target: weights.slice(0, -1) };
 }
 
-// Opacity at t of the 256 stored opacities, and the factor on the scale that goes with it:
-// row 0 for the source's splats, row 1 for the target's.
-function fadeRows(scene, ramp, part, t) {
-  const rows = new Float32Array(1024);
+// How much of each half there is, and how far it has gone to the other end.
+function halvesAt(part, t) {
   const weights = part === "morph" ? [1 - t, t] : [Number(part === "source"), Number(part === "target")];
-  weights.forEach((weight, side) => {
-    const at = weight * (scene.rampSteps - 1);
-    const low = Math.min(Math.floor(at), scene.rampSteps - 2);
-    const start = (ramp * scene.rampSteps + low) * 256;
-    const between = (table, a) => table[start + a] + (at - low) * (table[start + 256 + a] - table[start + a]);
-    for (let a = 0; a < 256; a++) {
-      rows[2 * (side * 256 + a)] = between(scene.fades, a) / 65535;
-      rows[2 * (side * 256 + a) + 1] = Math.exp(between(scene.growths, a) * scene.growthStep);
-    }
-  });
+  return { weights, gone: [t, 1 - t] };
+}
+
+// What a ramp makes of the 256 stored opacities at each weight, a row a weight: opacity, growth.
+function rampRows(scene, ramp) {
+  const size = scene.rampSteps * 256;
+  const rows = new Float32Array(2 * size);
+  for (let i = 0; i < size; i++) {
+    rows[2 * i] = scene.fades[ramp * size + i] / 65535;
+    rows[2 * i + 1] = scene.growths[ramp * size + i] * scene.growthStep;
+  }
   return rows;
+}
+
+// Weights of the halves by lead, a row a half: as `exponents` of the agreement in Python.
+function leadWeights(weights) {
+  return weights.map((weight) => {
+    const swing = (4 * weight * (1 - weight)) ** 2, odds = Math.log(weight / (1 - weight));
+    return Float64Array.from({ length: 256 }, (_, lead) =>
+      weight <= 0 || weight >= 1 ? weight : 1 / (1 + Math.exp(-odds - swing * Math.log(lead / (256 - lead)))));
+  });
+}
+
+function stackExponent(weight, density) {
+  return density > 0 ? -Math.log(1 - weight * (1 - Math.exp(-density))) / density : weight;
 }

@@ -11,8 +11,9 @@ precision highp usampler2D;
 uniform usampler2D uRest, uMoves, uOrder;
 uniform highp sampler2D uFade;
 uniform float uWeights[${2 * MAX_MOVES}];
-uniform int uMoveCount, uSourceCount, uDeforms;
+uniform int uMoveCount, uSourceCount, uDeforms, uRampSteps;
 uniform vec2 uLogScale, uSize, uMiddle;
+uniform vec2 uHalves, uGone;
 uniform vec3 uMoveScale, uShift;
 uniform mat3 uView;
 uniform float uFocal, uColour, uDeformScale;
@@ -21,6 +22,24 @@ out vec4 tint;
 
 ivec2 texel(int i) { return ivec2(i % ${TEXTURE_WIDTH}, i / ${TEXTURE_WIDTH}); }
 float byteOf(uint word, int k) { return float(int(word << uint(24 - 8 * k)) >> 24); }
+
+vec3 rgb(uint word) { return vec3(uvec3(word, word >> 8u, word >> 16u) & 255u) / 255.0; }
+
+// How much of a splat is left where so much of its half is.
+float exponent(float weight, float lead, float density) {
+  if (weight <= 0.0 || weight >= 1.0) return weight;
+  float swing = 4.0 * weight * (1.0 - weight);
+  float odds = log(weight / (1.0 - weight)) + swing * swing * log(lead / (1.0 - lead));
+  float led = 1.0 / (1.0 + exp(-odds));
+  return density > 0.0 ? -log(1.0 - led * (1.0 - exp(-density))) / density : led;
+}
+
+vec2 faded(int opacity, float weight) {
+  float at = weight * float(uRampSteps - 1);
+  int row = min(int(at), uRampSteps - 2);
+  vec2 low = texelFetch(uFade, ivec2(opacity, row), 0).rg, high = texelFetch(uFade, ivec2(opacity, row + 1), 0).rg;
+  return mix(low, high, at - float(row));
+}
 
 mat3 rotation(uint word) {
   vec3 small = (vec3(uvec3(word, word >> 10u, word >> 20u) & 1023u) / 511.0 - 1.0) * 0.70710678;
@@ -54,12 +73,13 @@ void main() {
   }
   vec3 p = uView * (uintBitsToFloat(rest.xyz) + uMoveScale * move) + uShift;
 
-  vec2 fade = texelFetch(uFade, ivec2(int(rest.w >> 24u), side), 0).rg;
+  float left = exponent(uHalves[side], float(form.z >> 24u) / 256.0, uintBitsToFloat(form.w));
+  vec2 fade = faded(int(rest.w >> 24u), left);
   float opacity = fade.x;
-  tint = vec4(vec3(uvec3(rest.w, rest.w >> 8u, rest.w >> 16u) & 255u) / 255.0 * uColour, opacity);
+  tint = vec4(mix(rgb(rest.w), rgb(form.z), uGone[side]) * uColour, opacity);
 
   vec3 steps = vec3(float(form.y & 2047u) / 2047.0, float((form.y >> 11u) & 2047u) / 2047.0, float(form.y >> 22u) / 1023.0);
-  vec3 scale = fade.y * exp(mix(uLogScale.xxx, uLogScale.yyy, steps));
+  vec3 scale = exp(fade.y + mix(uLogScale.xxx, uLogScale.yyy, steps));
   mat3 local = rotation(form.x);
   local = uView * (mat3(1.0) + deform * uDeformScale) * mat3(local[0] * scale.x, local[1] * scale.y, local[2] * scale.z);
 
@@ -125,15 +145,19 @@ function wordTexture(gl, unit, words) {
   texture(gl, unit, [gl.RGBA32UI, gl.RGBA_INTEGER, gl.UNSIGNED_INT], padded, TEXTURE_WIDTH, height);
 }
 
-// At rest: center (3 floats), colour and opacity (4 bytes) | rotation, log scales, 2 spare words.
+// At rest: center (3 floats), colour and opacity (4 bytes) | rotation, log scales, the colour at
+// the other end and the lead (4 bytes), the density of the stack (float).
 function restWords(scene) {
   const words = new Uint32Array(scene.count * 8);
+  const floats = new Float32Array(words.buffer);
   const centers = new Uint32Array(scene.centers.buffer, scene.centers.byteOffset, scene.centers.length);
   for (let i = 0; i < scene.count; i++) {
     words.set(centers.subarray(3 * i, 3 * i + 3), 8 * i);
     words[8 * i + 3] = scene.colours[i];
     words[8 * i + 4] = scene.rotations[i];
     words[8 * i + 5] = scene.logScales[i];
+    words[8 * i + 6] = scene.others[i];
+    floats[8 * i + 7] = scene.density(i);
   }
   return words;
 }
@@ -196,11 +220,12 @@ class SplatPainter {
     this.uniform = new Proxy({}, { get: (known, name) => known[name] ??= gl.getUniformLocation(program, name) });
     wordTexture(gl, 0, restWords(scene));
     wordTexture(gl, 1, moveWords(scene));
-    texture(gl, 2, [gl.RG32F, gl.RG, gl.FLOAT], new Float32Array(1024), 256, 2);
+    this.ramp = null;
     texture(gl, 3, [gl.R32UI, gl.RED_INTEGER, gl.UNSIGNED_INT], null, TEXTURE_WIDTH, rowsOf(scene.count));
     ["uRest", "uMoves", "uFade", "uOrder"].forEach((name, unit) => gl.uniform1i(this.uniform[name], unit));
     gl.uniform1i(this.uniform.uMoveCount, scene.knots.length - 1);
     gl.uniform1i(this.uniform.uSourceCount, scene.source.count);
+    gl.uniform1i(this.uniform.uRampSteps, scene.rampSteps);
     gl.uniform1i(this.uniform.uDeforms, Number(scene.deforms.length > 0));
     gl.uniform2fv(this.uniform.uLogScale, scene.logScaleRange);
     gl.uniform3fv(this.uniform.uMoveScale, scene.moveScale);
@@ -218,15 +243,19 @@ class SplatPainter {
     gl.clearColor(0, 0, 0, 0);
   }
 
-  visible(view, fades, weights) {
-    const { scene, sort } = this;
+  visible(view, halves, weights) {
+    const { scene, sort, fades } = this;
+    const led = leadWeights(halves.weights);
     const [rx, ry, rz] = view.rows[2];
     const [mx, my, mz] = [rx, ry, rz].map((v, i) => v * scene.moveScale[i]);
     const knots = scene.knots.length - 1;
     let count = 0;
     for (let i = 0; i < scene.count; i++) {
       const side = i < scene.source.count ? 0 : 1;
-      if (fades[2 * (side * 256 + (scene.colours[i] >>> 24))] < 1 / 255) continue;
+      const left = stackExponent(led[side][scene.others[i] >>> 24], scene.density(i));
+      // Rising in the weight: what the next row doesn't show is not seen.
+      const row = Math.ceil(left * (scene.rampSteps - 1));
+      if (fades[2 * (256 * row + (scene.colours[i] >>> 24))] < 1 / 255) continue;
       const w = side ? weights.target : weights.source;
       let depth = rx * scene.centers[3 * i] + ry * scene.centers[3 * i + 1] + rz * scene.centers[3 * i + 2] + view.shift[2];
       for (let k = 0, at = 3 * knots * i; k < knots; k++, at += 3) {
@@ -242,12 +271,15 @@ class SplatPainter {
   draw(view, { t, ramp, part }) {
     const { gl, scene } = this;
     const weights = moveWeights(scene, t);
-    const fades = fadeRows(scene, ramp, part, t);
-    const { order, count } = this.visible(view, fades, weights);
+    const halves = halvesAt(part, t);
+    if (ramp !== this.ramp) {
+      this.fades = rampRows(scene, ramp);
+      texture(gl, 2, [gl.RG32F, gl.RG, gl.FLOAT], this.fades, 256, scene.rampSteps);
+      this.ramp = ramp;
+    }
+    const { order, count } = this.visible(view, halves, weights);
     gl.viewport(0, 0, view.width, view.height);
     gl.clear(gl.COLOR_BUFFER_BIT);
-    gl.activeTexture(gl.TEXTURE2);
-    gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, 256, 2, gl.RG, gl.FLOAT, fades);
     gl.activeTexture(gl.TEXTURE3);
     const rows = rowsOf(count);
     gl.texSubImage2D(gl.TEXTURE_2D, 0, 0, 0, TEXTURE_WIDTH, rows, gl.RED_INTEGER, gl.UNSIGNED_INT, order, 0);
@@ -255,6 +287,8 @@ class SplatPainter {
     padded.set(weights.source, 0);
     padded.set(weights.target, MAX_MOVES);
     gl.uniform1fv(this.uniform.uWeights, padded);
+    gl.uniform2fv(this.uniform.uHalves, halves.weights);
+    gl.uniform2fv(this.uniform.uGone, halves.gone);
     gl.uniformMatrix3fv(this.uniform.uView, true, view.rows.flat());
     gl.uniform3fv(this.uniform.uShift, view.shift);
     gl.uniform2f(this.uniform.uSize, view.width, view.height);
