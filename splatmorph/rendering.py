@@ -10,6 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from renderer import Bounds, Camera, bounds_of, orbit, rasterize
+from renderer.cameras import UPRIGHT
 from splatmorph.gaussians import Gaussians
 
 Colour = Sequence[float]
@@ -75,6 +76,14 @@ def bounds(*splats: Gaussians) -> Bounds:
         np.concatenate([one.opacities.cpu().numpy() for one in splats]),
         np.concatenate([one.scales.cpu().numpy() for one in splats]),
     )
+
+
+def upright(gaussians: Gaussians, up: str | None = None) -> str:
+    """The axis to hold up in a picture: ``up`` if given, what the splat says, else y.
+
+    No camera holds x up: a splat that says so is shown as one that says nothing.
+    """
+    return up or (gaussians.up if gaussians.up in UPRIGHT else None) or "y"
 
 
 def turntable(

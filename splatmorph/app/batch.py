@@ -50,7 +50,7 @@ class Result:
 
     name: str
     status: str
-    """fitted; kept, if it was there already; or failed."""
+    """fitted; kept, if it was there already; missed, if many landmarks are; or failed."""
     landmarks: int | None = None
     rms_error: float | None = None
     """Root mean square distance of the landmarks."""
@@ -60,15 +60,17 @@ class Result:
     det_min: float | None = None
     seconds: float | None = None
     message: str = ""
-    """Why it failed."""
+    """Why it failed, or what is missed."""
 
     @staticmethod
     def of(name: str, status: str, report: Mapping[str, Any]) -> Result:
         """The result that a fit's report says."""
         worst, error = next(iter(report["errors"].items()))
+        missed = report["missed"]
         return Result(
             name,
-            status,
+            "missed" if missed else status,
+            message=report["status"] if missed else "",
             landmarks=report["landmarks"],
             rms_error=(3 * report["mse_world"]) ** 0.5,
             worst_error=error,
@@ -94,11 +96,12 @@ def batch(
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
-) -> None:
+) -> int:
     """Fit every pair of a table into a folder of runs, and sum them up in summary.csv.
 
     A pair that is wrong doesn't stop the others. The same command again goes on where it was
-    stopped: runs of the same inputs and options are kept; those of others need -w.
+    stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
+    where none failed but many landmarks of a pair are missed by far.
     """
     rows = read_rows(pairs)
     folder = make_folder(out or Path(f"{pairs.stem}-runs"))
@@ -126,6 +129,10 @@ def batch(
             f"{', …' if len(failed) > 5 else ''}), {folder / SUMMARY} says why: mend them and give "
             "the same command again"
         )
+    missed = [result.name for result in results if result.status == "missed"]
+    for name in missed:
+        console.warn(f"{name} misses many of its landmarks by far; {folder / SUMMARY} says which")
+    return console.MISSED if missed else 0
 
 
 def read_rows(path: Path) -> list[Row]:

@@ -27,6 +27,9 @@ from splatmorph.errors import OutputExistsError
 if TYPE_CHECKING:
     from splatmorph.fitting import FitProgress
 
+MISSED = 3
+"""Exit code of a command whose morph doesn't meet what was asked."""
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 

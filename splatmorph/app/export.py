@@ -46,6 +46,14 @@ def export(
         bool,
         Parameter(negative="", help="Keep every splat in every frame, for players that need it."),
     ] = False,
+    stay: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Keep every frame in the source's place, the target moved there rigidly; else "
+            "the frames go from where the one stands to where the other does.",
+        ),
+    ] = False,
     blending: Blending = AS_THEY_ARE,
     overwrite: Overwrite = False,
 ) -> None:
@@ -67,6 +75,8 @@ def export(
         return
     if stable_count:
         options["stable_count"], prune = True, False
+    if stay:
+        options["stay"] = True
     times = _times(frames, t, len(inputs) - 1)
     if single and len(times) > 1:
         raise OptionError(

@@ -103,6 +103,16 @@ TimesOption = Annotated[
 ]
 
 
+UpOption = Annotated[
+    str | None,
+    Parameter(
+        name="--up",
+        allow_leading_hyphen=True,
+        help="The axis that points up: y, -y, z or -z; what the file says, else y.",
+    ),
+]
+Degrees = Annotated[float, Parameter(allow_leading_hyphen=True)]
+
 DEFAULT_SIZE = Size(512, 512)
 
 
@@ -134,14 +144,13 @@ class Viewpoint:
 
     size: SizeOption = DEFAULT_SIZE
     """WIDTHxHEIGHT in pixels."""
-    orbit: float | None = None
+    orbit: Annotated[float | None, Parameter(allow_leading_hyphen=True)] = None
     """Degrees the camera swings to each side; 360 for a full circle."""
-    azimuth: float = 0.0
+    azimuth: Degrees = 0.0
     """Degrees from the front where it begins."""
-    elevation: float = 0.0
+    elevation: Degrees = 0.0
     """Degrees above the object."""
-    up: str = "y"
-    """The axis that points up: y, -y, z or -z."""
+    up: UpOption = None
     cameras: Path | None = None
     """A camera path instead of an orbit: of NeRF, nerfstudio, Inria or COLMAP (text)."""
 

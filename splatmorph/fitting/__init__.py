@@ -23,7 +23,7 @@ from splatmorph.fitting.methods import fitted_by, method_of
 from splatmorph.fitting.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
 from splatmorph.fitting.task import Region, Task
 from splatmorph.flows import Flow, Node
-from splatmorph.flows.displacement import Still
+from splatmorph.flows.linear import Linear
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import evaluate
 
@@ -102,7 +102,7 @@ def fit(
         finished = False
     seconds = time.perf_counter() - begun
     report = _report(flow, p, q, names, domain, chosen, history, seconds, finished)
-    asked = config.smoothing is not None or flow.kind == Still.kind
+    asked = config.smoothing is not None or flow.kind == Linear.kind
     return replace(
         report,
         predicted=predicted,
@@ -113,7 +113,7 @@ def fit(
 
 def _chosen(flow: Flow, p: Tensor, q: Tensor, config: FitConfig) -> tuple[FitConfig, float | None]:
     """The settings with smoothing and shear, and within what the landmarks predict one another."""
-    if config.smoothing is not None or flow.dim != 3 or flow.kind == Still.kind:
+    if config.smoothing is not None or flow.dim != 3 or flow.kind == Linear.kind:
         return config, None
     found = choose(p, q)
     shear = found.shear if config.shear is None else config.shear

@@ -20,7 +20,7 @@ MANY = 0.1
 """… where so large a part of them have it."""
 SQUEEZED = 0.05
 """det ∂Φ/∂x below which the warp is said to squeeze."""
-COINCIDE = 2e-3
+COINCIDE = 5e-3
 """Landmarks so close together, frame units, are one place …"""
 STRETCH = 20.0
 """… and so many times that apart are two."""

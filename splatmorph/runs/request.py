@@ -17,6 +17,8 @@ from torch import Tensor
 from splatmorph.errors import OptionError, OutputExistsError, WriteError
 from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
 from splatmorph.flows import Flow, Node, make_flow
+from splatmorph.geometry.alignment import similarity_between
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import mean_landmarks
 from splatmorph.runs.inputs import Input
@@ -39,8 +41,9 @@ class Fitting:
     """node or ncf; or a baseline: ifmorph, tps, linear."""
     field: str | None = None
     """Of the node flow: spline (the default) or siren."""
-    smoothing: float = FitConfig.smoothing
-    """Weight of bending against missed landmarks; raise it for noisy ones, 0 meets them."""
+    smoothing: float | None = FitConfig.smoothing
+    """Weight of bending against missed landmarks, 0 meets them; chosen by the landmarks if not
+    given."""
     energy: str | None = None
     """What training keeps small: jacobian (the paper's) or hessian."""
     steps: int | None = None
@@ -81,21 +84,25 @@ class LegRequest:
     target_points: Tensor
     """(m, 3) float64: where they go."""
     names: tuple[str, ...]
+    frame: Similarity
+    """Where the target stands, seen from the source: what the flow need not do."""
     domain: Tensor
-    """(n, 3) float64, world units: where the objects are."""
+    """(n, 3) float64, world units: where the objects are, the target in the source's place."""
 
     @staticmethod
     def of(pair: Pair, moved: Sequence[Input]) -> LegRequest:
         """Match the landmarks of a leg that moves the splats of ``moved``.
 
         Raises:
-            LandmarkError: they don't match.
+            LandmarkError: they don't match, or mirror each other.
         """
         p, q, names = pair[0].match(pair[1])
+        frame = similarity_between(p, q)
         each = MOST_DOMAIN_POINTS // len(moved)
-        means = [one.gaussians.means for one in moved]
-        domain = torch.cat([m[:: max(1, len(m) // each)] for m in means]).double()
-        return LegRequest(p, q, names, domain)
+        means = [one.gaussians.means[:: max(1, len(one.gaussians) // each)] for one in moved]
+        places = Similarity.identity(), frame.inverse()
+        domain = [place(m.double()) for place, m in zip(places, means, strict=False)]
+        return LegRequest(p, q, names, frame, torch.cat(domain))
 
     def made(self, leg: Leg) -> bool:
         """Whether ``leg`` goes between the same landmarks."""
@@ -180,7 +187,7 @@ class Request:
             if report.interrupted and i + 1 < len(self.legs):
                 raise KeyboardInterrupt
             points = leg.source_points, leg.target_points
-            made.append(Leg(flow.cpu(), *points, leg.names, report.to_dict()))
+            made.append(Leg(flow.cpu(), leg.frame, *points, leg.names, report.to_dict()))
         inputs = tuple(remember(one) for one in self.inputs)
         run = Run(inputs, tuple(made), self.options, folder)
         save_run(folder, run, reports)
@@ -194,7 +201,7 @@ class Request:
         return fit(
             flow,
             Landmarks(leg.source_points, leg.names),
-            Landmarks(leg.target_points, leg.names),
+            Landmarks(leg.frame.inverse()(leg.target_points), leg.names),
             self.fitting.config(),
             domain=leg.domain.to(flow.center.device),
             on_step=on_step,

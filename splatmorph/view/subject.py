@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from torch import Tensor
 from renderer import Bounds
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
 from splatmorph.runs.run import open_run
@@ -49,6 +50,8 @@ class Subject:
 def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[str, Any]]:
     """The subject of a run directory, and the report of its fit; ``options`` are ``Morph``'s.
 
+    The target is shown in the source's place.
+
     Raises:
         RunError: the directory is no run, or its inputs have moved or changed.
         OptionError: an unknown ramp or covariance, or a run of more than two splats.
@@ -57,14 +60,14 @@ def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[s
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     (source, target), leg = run.load_inputs(), run.legs[0]
-    landmarks = leg.source_points
-    morph = Morph(source.gaussians, target.gaussians, leg.flow, landmarks=landmarks, **options)
+    options |= {"frame": leg.frame, "landmarks": leg.source_points}
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, **options)
     subject = Subject(
-        morph,
+        replace(morph, target=morph.aligned, frame=Similarity.identity()),
         source.name,
         target.name,
         leg.source_points,
-        leg.target_points,
+        leg.aligned_points,
         leg.names,
     )
     return subject, leg.report
