@@ -113,7 +113,7 @@ def batch(
             try:
                 results.append(_fit_row(row, run, fitting, posing, device, overwrite))
             except SplatmorphError as error:
-                console.fail(f"{row.name}: {console.spoken(error)}")
+                console.fail(f"{row.name}: {error}")
                 results.append(Result(row.name, "failed", message=console.spoken(error)))
     finally:
         _write_summary(folder / SUMMARY, results)

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import (
-    AS_THEY_ARE,
+    DEFAULT_BLENDING,
     Blending,
     Out,
     Overwrite,
@@ -54,7 +54,7 @@ def export(
             "the frames go from where the one stands to where the other does.",
         ),
     ] = False,
-    blending: Blending = AS_THEY_ARE,
+    blending: Blending = DEFAULT_BLENDING,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the morph as splat files, one a time, and frames.json with the t of each.

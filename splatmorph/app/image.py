@@ -92,7 +92,7 @@ class Mixing:
     """The directory of an AutoencoderKL of diffusers."""
 
 
-AS_FOUND, BY_NODE, EVENLY = Pairing(), Warping(), Mixing()
+DEFAULT_PAIRING, DEFAULT_WARPING, DEFAULT_MIXING = Pairing(), Warping(), Mixing()
 
 
 def image(
@@ -101,9 +101,9 @@ def image(
     /,
     *,
     out: Out = None,
-    pairing: Pairing = AS_FOUND,
-    warping: Warping = BY_NODE,
-    mixing: Mixing = EVENLY,
+    pairing: Pairing = DEFAULT_PAIRING,
+    warping: Warping = DEFAULT_WARPING,
+    mixing: Mixing = DEFAULT_MIXING,
     size: Annotated[SizeOption | None, Parameter(help="WIDTHxHEIGHT; the source's.")] = None,
     frames: Annotated[int, Parameter(help="Frames of the video.")] = 60,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,

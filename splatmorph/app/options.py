@@ -155,8 +155,8 @@ class Viewpoint:
     """A camera path instead of an orbit: of NeRF, nerfstudio, Inria or COLMAP (text)."""
 
 
-AS_THEY_ARE = Blending()
-FROM_THE_FRONT = Viewpoint()
+DEFAULT_BLENDING = Blending()
+DEFAULT_VIEWPOINT = Viewpoint()
 
 
 def choose_device(device: str) -> str:

@@ -12,8 +12,8 @@ from cyclopts import Parameter
 from renderer import Camera, orbit, read_cameras, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
-    AS_THEY_ARE,
-    FROM_THE_FRONT,
+    DEFAULT_BLENDING,
+    DEFAULT_VIEWPOINT,
     Blending,
     ColourOption,
     Device,
@@ -57,9 +57,9 @@ def render(
     t: TimesOption = None,
     frames: Annotated[int, Parameter(help="How many frames.")] = 120,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
-    view: Viewpoint = FROM_THE_FRONT,
+    view: Viewpoint = DEFAULT_VIEWPOINT,
     background: ColourOption = (1.0, 1.0, 1.0),
-    blending: Blending = AS_THEY_ARE,
+    blending: Blending = DEFAULT_BLENDING,
     drive: Annotated[
         Path | None,
         Parameter(help="A FLAME track (flame_param.npz, or an avatar) that moves both avatars."),

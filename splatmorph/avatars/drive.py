@@ -69,8 +69,8 @@ class Drive:
             if not avatar.is_canonical:
                 raise OptionError(
                     f"{avatar.name} was fitted in another pose ({avatar.posed}), but a track "
-                    "drives heads from the canonical one: fit again without --frame, --pose-from "
-                    "and --mesh"
+                    "drives heads from the canonical one: fit again without `frame`, `pose_from` "
+                    "and `mesh`"
                 )
         self.track = track
         self.flow = flow

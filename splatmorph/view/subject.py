@@ -12,14 +12,11 @@ from torch import Tensor
 
 from renderer import Bounds
 from splatmorph.errors import OptionError
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
 from splatmorph.runs.run import open_run
-
-VISIBLE = 1 / 255
-"""Opacity below which no rasterizer draws a splat."""
 
 NO_POINTS = torch.empty(0, 3, dtype=torch.float64)
 
@@ -81,7 +78,7 @@ def footprints(gaussians: Gaussians) -> Tensor:
 
 def thin(gaussians: Gaussians, most: int) -> Tensor:
     """Indices, ascending, of at most ``most`` splats: the visible ones that cover most."""
-    visible = (gaussians.opacities >= VISIBLE).nonzero().flatten()
+    visible = (gaussians.opacities >= FAINTEST_DRAWN).nonzero().flatten()
     if len(visible) <= most:
         return visible
     order = footprints(gaussians)[visible].argsort(descending=True, stable=True)
