@@ -42,6 +42,8 @@ DEFAULTS = FitConfig()
 """The settings of a fit that is asked for nothing else."""
 PROBES = 128
 """Points of the object at which a report looks."""
+PLANE_SMOOTHING = 1e-4
+"""Landmarks of pictures are good to a pixel or so: this meets them to that."""
 INTEGRATION_SHARE = 0.1
 """The integration error may be this part of the root mean squared landmark error …"""
 INTEGRATION_FLOOR = 2e-6
@@ -113,8 +115,10 @@ def fit(
 
 def _chosen(flow: Flow, p: Tensor, q: Tensor, config: FitConfig) -> tuple[FitConfig, float | None]:
     """The settings with smoothing and shear, and within what the landmarks predict one another."""
-    if config.smoothing is not None or flow.dim != 3 or flow.kind == Linear.kind:
+    if config.smoothing is not None or flow.kind == Linear.kind:
         return config, None
+    if flow.dim == 2:
+        return replace(config, smoothing=PLANE_SMOOTHING), None
     found = choose(p, q)
     shear = found.shear if config.shear is None else config.shear
     chosen = replace(config, smoothing=found.smoothing, shear=shear)

@@ -31,7 +31,8 @@ class FitConfig:
     """How much bending weighs against missed landmarks, ≥ 0: raise it for noisy ones. The spline
     minimises Σ|gap|² + smoothing · bending in frame units; a training's energy weighs in
     proportion. At 0 the landmarks are met as closely as can be, whatever it costs between them.
-    None: in space as much as the landmarks ask for, by how they predict one another."""
+    None: in space as much as the landmarks ask for, by how they predict one another; in the
+    plane 1e-4."""
     shear: float | None = None
     """Prior variance of a linear part that is no similarity, frame units. None: chosen with the
     smoothing, else free."""

@@ -201,7 +201,7 @@ class Request:
         return fit(
             flow,
             Landmarks(leg.source_points, leg.names),
-            Landmarks(leg.frame.inverse()(leg.target_points), leg.names),
+            Landmarks(leg.target_points, leg.names).moved(leg.frame.inverse()),
             self.fitting.config(),
             domain=leg.domain.to(flow.center.device),
             on_step=on_step,
