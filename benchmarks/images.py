@@ -38,10 +38,9 @@ from splatmorph.images import (
 )
 from splatmorph.images.correspond import dense_motion, follow_motion
 from splatmorph.images.delaunay import DelaunayWarp, DenseMap
-from splatmorph.images.quality import psnr
 from splatmorph.images.warp import PixelMap, sample
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import landmark_mse
+from splatmorph.metrics import landmark_mse, psnr
 
 SIZES = (256, 1350)
 FRAMES = 30

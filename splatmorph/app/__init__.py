@@ -18,6 +18,7 @@ from splatmorph.errors import SplatmorphError
 COMMANDS = {
     "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
     "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
+    "landmarks": "Find landmarks on two splats: faces, and surfaces for the rest.",
     "render": "Render a run as a video or pictures; or any splat.",
     "export": "Write the splats between as files, one a time.",
     "eval": "Measure a run: landmark errors, flow laws, folding, energies.",
@@ -51,21 +52,15 @@ def launch(
     verbose: Annotated[
         bool, Parameter(name="--verbose", negative="", help="Show tracebacks.")
     ] = False,
-) -> int | None:
+) -> None:
     """Morph one 3D Gaussian splat into another, by flows."""
     console.manner.quiet, console.manner.verbose = quiet, verbose
     console.listen()
-    code: int | None = app(
-        tokens, exit_on_error=False, print_error=True, result_action="return_value"
-    )
-    return code
+    app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
 
 
 def run(tokens: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code.
-
-    0 where the user got what was asked, 1 (data), 2 (usage), or what the command returned.
-    """
+    """Run the command line and return its exit code: 0, 1 (data) or 2 (usage)."""
     tokens = sys.argv[1:] if tokens is None else list(tokens)
     # The interrupt is the fit's to handle: it keeps the best flow so far.
     app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
@@ -73,8 +68,7 @@ def run(tokens: Sequence[str] | None = None) -> int:
         if tokens and tokens[0] in COMMANDS:
             # The line of the overview gives way to the command's own text.
             app[tokens[0]].help = None
-        code = app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
-        return code if isinstance(code, int) else 0
+        app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
     except CycloptsError:
         return USAGE
     except (SplatmorphError, RenderError) as error:
@@ -93,6 +87,7 @@ def run(tokens: Sequence[str] | None = None) -> int:
             f"unexpected {type(error).__name__}: {error} "
             "(a bug of ours: please report it with what --verbose prints)"
         )
+    return 0
 
 
 def main() -> None:

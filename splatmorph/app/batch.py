@@ -15,11 +15,12 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.fit import FittingOptions, PosingOptions
-from splatmorph.app.options import Device, Json, Out, Overwrite, choose_device
+from splatmorph.app.options import Auto, Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
 from splatmorph.io.reading import read_text, reading
+from splatmorph.runs.finding import Finding
 from splatmorph.runs.posing import Posing
 from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
 from splatmorph.runs.run import MANIFEST, open_run
@@ -50,7 +51,7 @@ class Result:
 
     name: str
     status: str
-    """fitted; kept, if it was there already; missed, if many landmarks are; or failed."""
+    """fitted; kept, if it was there already; or failed."""
     landmarks: int | None = None
     rms_error: float | None = None
     """Root mean square distance of the landmarks."""
@@ -60,17 +61,15 @@ class Result:
     det_min: float | None = None
     seconds: float | None = None
     message: str = ""
-    """Why it failed, or what is missed."""
+    """Why it failed."""
 
     @staticmethod
     def of(name: str, status: str, report: Mapping[str, Any]) -> Result:
         """The result that a fit's report says."""
         worst, error = next(iter(report["errors"].items()))
-        missed = report["missed"]
         return Result(
             name,
-            "missed" if missed else status,
-            message=report["status"] if missed else "",
+            status,
             landmarks=report["landmarks"],
             rms_error=(3 * report["mse_world"]) ** 0.5,
             worst_error=error,
@@ -93,17 +92,17 @@ def batch(
     out: Out = None,
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
+    auto: Auto = True,
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
-) -> int:
+) -> None:
     """Fit every pair of a table into a folder of runs, and sum them up in summary.csv.
 
     A pair that is wrong doesn't stop the others. The same command again goes on where it was
-    stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
-    where none failed but many landmarks of a pair are missed by far.
+    stopped: runs of the same inputs and options are kept; those of others need -w.
     """
-    rows = read_rows(pairs)
+    rows, finding = read_rows(pairs), Finding(auto)
     folder = make_folder(out or Path(f"{pairs.stem}-runs"))
     results: list[Result] = []
     try:
@@ -111,9 +110,9 @@ def batch(
             console.note(f"{number}/{len(rows)} {row.name}")
             run = folder / f"{row.name}.run"
             try:
-                results.append(_fit_row(row, run, fitting, posing, device, overwrite))
+                results.append(_fit_row(row, run, fitting, posing, finding, device, overwrite))
             except SplatmorphError as error:
-                console.fail(f"{row.name}: {error}")
+                console.fail(f"{row.name}: {console.spoken(error)}")
                 results.append(Result(row.name, "failed", message=console.spoken(error)))
     finally:
         _write_summary(folder / SUMMARY, results)
@@ -129,10 +128,6 @@ def batch(
             f"{', …' if len(failed) > 5 else ''}), {folder / SUMMARY} says why: mend them and give "
             "the same command again"
         )
-    missed = [result.name for result in results if result.status == "missed"]
-    for name in missed:
-        console.warn(f"{name} misses many of its landmarks by far; {folder / SUMMARY} says which")
-    return console.MISSED if missed else 0
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -180,13 +175,20 @@ def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
 
 
 def _fit_row(
-    row: Row, run: Path, fitting: Fitting, posing: Posing, device: str, overwrite: bool
+    row: Row,
+    run: Path,
+    fitting: Fitting,
+    posing: Posing,
+    finding: Finding,
+    device: str,
+    overwrite: bool,
 ) -> Result:
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
     asked = Request.of(
         (row.source, row.target),
         fitting,
         dataclasses.replace(posing, **own),
+        finding,
         on_warning=console.warn,
     )
     if (run / MANIFEST).is_file() and not has_state(run):

@@ -19,10 +19,9 @@ from refusals import refused
 
 from splatmorph import io
 from splatmorph.gaussians import Gaussians
-from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import from_matrices, to_matrices
 from splatmorph.io.axes import upright
-from splatmorph.io.packed import FAINTEST
+from splatmorph.io.packed import FAINTEST, SH0
 
 MakeGaussians = Callable[..., Gaussians]
 SPLATS = "KHR_gaussian_splatting"
