@@ -36,9 +36,10 @@ from splatmorph import io
 from splatmorph.fitting import fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import from_matrices, to_matrices
+from splatmorph.images.quality import psnr, ssim
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import psnr, ssim
 from splatmorph.morph import Morph
 from splatmorph.morph.splitting import split
 from splatmorph.rendering import bounds, renderer_arrays
@@ -46,7 +47,6 @@ from splatmorph.rendering import bounds, renderer_arrays
 SIZE = 512
 AZIMUTHS = np.linspace(-45, 45, 8)
 TIMES = (0.25, 0.5, 0.75)
-SH0 = 0.28209479177387814
 LUMINANCE = np.array([0.299, 0.587, 0.114], np.float32)
 
 METHODS = {

@@ -35,11 +35,11 @@ from splatmorph import io
 from splatmorph.fitting import fit
 from splatmorph.flows import Flow, make_flow
 from splatmorph.flows.base import Times, as_floats
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.geometry.harmonics import harmonics, rotate_sh
 from splatmorph.geometry.quaternions import from_matrices
+from splatmorph.images.quality import psnr, ssim
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import psnr, ssim
 from splatmorph.morph import Morph
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.morph.splitting import split, split_stretched
@@ -52,9 +52,6 @@ AZIMUTHS = np.linspace(-45, 45, 8).tolist()
 
 THRESHOLDS = (2.0, 1.5)
 """Stretches from which splats are split."""
-
-VISIBLE = 1 / 255
-"""Opacity below which nothing is drawn."""
 
 COMPARED = ("linear", "calibrated")
 """The ramps that the warps are tried with."""
@@ -275,7 +272,7 @@ def split_table(name: str, head: Gaussians) -> None:
     table(
         f"{name}: PSNR in dB / SSIM against smaller splats, mean of four views",
         ["warp", "strength", "split beyond", "splats", "at t = 0", "full", "fixed"],
-        split_rows(head.select(head.opacities >= VISIBLE)),
+        split_rows(head.select(head.opacities >= FAINTEST_DRAWN)),
     )
 
 

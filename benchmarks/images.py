@@ -38,9 +38,10 @@ from splatmorph.images import (
 )
 from splatmorph.images.correspond import dense_motion, follow_motion
 from splatmorph.images.delaunay import DelaunayWarp, DenseMap
+from splatmorph.images.quality import psnr
 from splatmorph.images.warp import PixelMap, sample
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import landmark_mse, psnr
+from splatmorph.metrics import landmark_mse
 
 SIZES = (256, 1350)
 FRAMES = 30

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from renderer import native
 from renderer.errors import ArgumentError
+from renderer.reference import near_of
 from renderer.views import View, view_of
 
 MAX_SIDE = 16384
@@ -32,7 +33,7 @@ def rasterize(
     height: int,
     *,
     background: Sequence[float] | None = None,
-    near: float = 0.01,
+    near: float | None = None,
     far: float = 1e10,
     sh_degree: int | None = None,
     depth: Depth = "expected",
@@ -54,7 +55,8 @@ def rasterize(
 
     Options
         background: RGB behind the splats; none leaves the colours premultiplied on black.
-        near, far: splats whose center is not between these depths are not drawn.
+        near, far: splats whose center is not between these depths are not drawn; ``near`` is
+            by default a few thousandths of the distance at which the splats are.
         sh_degree: use the bands up to this degree; all by default.
         depth: "expected" is the mean of the splats' depths, weighted by what each adds to the
             pixel; "surface" the depth of the splat with which a share of the pixel's alpha is
@@ -86,7 +88,7 @@ def rasterize(
             f"surface_share is {surface_share}, expected above 0 and at most {MOST_SHARE}"
         )
     share = surface_share if depth == "surface" else 0.0
-    views = _checked_views(viewmat, K, (width, height), (near, far), threads)
+    views = _checked_views(viewmat, K, (width, height), (near, far), scene["means"], threads)
     if device == "cpu" and native.PROGRAM.available():
         pictures = native.render(scene, degree, views, behind, share, threads)
     else:
@@ -108,7 +110,7 @@ def gather(
     K: ArrayLike,
     pictures: ArrayLike,
     *,
-    near: float = 0.01,
+    near: float | None = None,
     far: float = 1e10,
     device: str = "cpu",
     threads: int | None = None,
@@ -142,7 +144,7 @@ def gather(
     if not np.isfinite(values).all():
         raise ArgumentError("pictures has values that are not finite")
     count, height, width, channels = values.shape
-    views = _checked_views(viewmat, K, (width, height), (near, far), threads)
+    views = _checked_views(viewmat, K, (width, height), (near, far), scene["means"], threads)
     if len(views) != count:
         raise ArgumentError(f"{count} pictures and {len(views)} cameras, expected as many of both")
 
@@ -166,20 +168,24 @@ def _checked_views(
     viewmat: ArrayLike,
     K: ArrayLike,
     size: tuple[int, int],
-    depths: tuple[float, float],
+    depths: tuple[float | None, float],
+    means: NDArray[np.float32],
     threads: int | None,
 ) -> list[View]:
     """The kernels' views of the cameras."""
     (width, height), (near, far) = size, depths
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         raise ArgumentError(f"the picture is {width}x{height}, expected 1 to {MAX_SIDE} a side")
-    if not 0 < near < far:
+    if not 0 < (far / 2 if near is None else near) < far:
         raise ArgumentError(f"near is {near} and far {far}, expected 0 < near < far")
     if threads is not None and threads < 1:
         raise ArgumentError(f"threads is {threads}, expected at least 1")
     viewmats, Ks = _checked_cameras(viewmat, K)
-    whole, between = (int(width), int(height)), (float(near), float(far))
-    return [view_of(*camera, whole, between) for camera in zip(viewmats, Ks, strict=True)]
+    views = []
+    for one, intrinsics in zip(viewmats, Ks, strict=True):
+        closest = near_of(means, one) if near is None else float(near)
+        views.append(view_of(one, intrinsics, (int(width), int(height)), (closest, float(far))))
+    return views
 
 
 def _is_torch(array: object) -> bool:

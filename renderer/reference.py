@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,6 +18,9 @@ BLUR = 0.3
 ALPHA_MAX = 0.99
 ALPHA_MIN = 1 / 255
 TRANSMITTANCE_MIN = 1e-4
+NEAR = 0.003
+"""The near plane, as a part of the distance at which the splats are."""
+SAMPLED = 1000
 FOV_MARGIN = 0.3
 """Splats are linearised at most this many half fields of view outside the picture."""
 
@@ -128,7 +131,7 @@ def rasterize_reference(
     height: int,
     *,
     background: Sequence[float] | None = None,
-    near: float = 0.01,
+    near: float | None = None,
     far: float = 1e10,
     sh_degree: int | None = None,
     depth: str = "expected",
@@ -140,7 +143,8 @@ def rasterize_reference(
     """
     arrays = [np.asarray(a, np.float64) for a in (means, quats, scales, opacities, sh)]
     camera = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
-    _, splats, alphas, colors = _visible(arrays, *camera, width, height, (near, far), sh_degree)
+    depths = (near_of(arrays[0], camera[0]) if near is None else near, far)
+    _, splats, alphas, colors = _visible(arrays, *camera, width, height, depths, sh_degree)
     rgb = np.zeros((height, width, 3))
     mean = np.zeros((height, width))
     transmittance = np.ones((height, width))
@@ -178,7 +182,7 @@ def gather_reference(
     K: ArrayLike,
     picture: ArrayLike,
     *,
-    near: float = 0.01,
+    near: float | None = None,
     far: float = 1e10,
 ) -> Array:
     """Σₚ wᵢₚ xₚ of one picture (height, width, k), in float64: (n, k). Arguments as ``gather``."""
@@ -187,7 +191,8 @@ def gather_reference(
     height, width, channels = values.shape
     camera = np.asarray(viewmat, np.float64), np.asarray(K, np.float64)
     scene = [*arrays, np.zeros((len(arrays[0]), 1, 3))]
-    drawn, splats, alphas, _ = _visible(scene, *camera, width, height, (near, far), None)
+    depths = (near_of(arrays[0], camera[0]) if near is None else near, far)
+    drawn, splats, alphas, _ = _visible(scene, *camera, width, height, depths, None)
     sums = np.zeros((len(arrays[0]), channels))
     for i, weight in _shares(splats, alphas, width, height):
         sums[drawn[i]] = np.einsum("hw,hwk->k", weight, values)
@@ -212,6 +217,15 @@ def _shares(
         hit &= unfinished
         yield int(i), np.where(hit, transmittance * alpha, 0)
         transmittance = np.where(hit, remaining, transmittance)
+
+
+def near_of(means: NDArray[Any], viewmat: Array) -> float:
+    """A near plane for splats (n, 3), whatever their unit: ``NEAR`` of their median distance."""
+    some = means[:: max(1, len(means) // SAMPLED)]
+    with np.errstate(over="ignore", invalid="ignore"):
+        distances = np.abs(some @ viewmat[2, :3] + viewmat[2, 3])
+    distances = distances[np.isfinite(distances) & (distances > 0)]
+    return NEAR * float(np.median(distances)) if len(distances) else NEAR
 
 
 def _visible(

@@ -14,6 +14,8 @@ from splatmorph.geometry.quaternions import from_matrices, normalized, product
 from splatmorph.geometry.similarity import Similarity
 
 MAX_SH_DEGREE = 4
+FAINTEST_DRAWN = 1 / 255
+"""Opacity below which no rasterizer draws a splat: leaving it out changes no picture."""
 
 UPS: Mapping[str, tuple[int, int, int]] = {
     "x": (1, 0, 0),

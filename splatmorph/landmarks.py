@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.reading import reading
@@ -131,6 +132,10 @@ class Landmarks:
 
     def _by_name(self, rows: list[Any]) -> dict[str, Any] | list[Any]:
         return dict(zip(self.names, rows, strict=True)) if self.names else rows
+
+    def moved(self, similarity: Similarity) -> Landmarks:
+        """The same points, each at s R x + t."""
+        return replace(self, points=similarity(self.points))
 
     def match(self, target: Landmarks) -> tuple[Tensor, Tensor, tuple[str, ...]]:
         """The pairs that both sets have, in the order of this one.

@@ -1,19 +1,54 @@
-"""From Gaussians to the renderer's arrays, and the camera moves that show a morph."""
+"""From Gaussians to the renderer's arrays, and the camera moves that show a morph.
+
+The renderer knows nothing of us, so neither do its errors: what is called from here raises ours.
+"""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from renderer import Bounds, Camera, bounds_of, orbit, rasterize
+import renderer
+from renderer import ArgumentError, Bounds, Camera, CameraFileError, OutputError, RenderError
+from renderer.cameras import UPRIGHT
+from splatmorph.errors import OptionError, ReadError, SplatmorphError, WriteError
 from splatmorph.gaussians import Gaussians
 
 Colour = Sequence[float]
 Array = NDArray[np.float32]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+ERRORS: dict[type[RenderError], type[SplatmorphError]] = {
+    ArgumentError: OptionError,
+    CameraFileError: ReadError,
+    OutputError: WriteError,
+}
+"""What the renderer's errors are here."""
+
+
+def _with_our_errors(function: Callable[P, R]) -> Callable[P, R]:
+    @functools.wraps(function)
+    def called(*args: P.args, **keywords: P.kwargs) -> R:
+        try:
+            return function(*args, **keywords)
+        except RenderError as error:
+            raise ERRORS[type(error)](str(error)) from error
+
+    return called
+
+
+bounds_of = _with_our_errors(renderer.bounds_of)
+gather = _with_our_errors(renderer.gather)
+orbit = _with_our_errors(renderer.orbit)
+rasterize = _with_our_errors(renderer.rasterize)
 
 SWING = 40.0
 """Degrees to each side that a turntable of a morph swings: heads from one picture have no back."""
@@ -37,6 +72,9 @@ def render(
     Returns:
         (height, width, 3) uint8; with a transparent background (height, width, 4), straight
         (unassociated) alpha.
+
+    Raises:
+        OptionError: a picture of no size, a camera or a splat that can't be drawn.
     """
     rgb, alpha, _ = rasterize(
         *renderer_arrays(gaussians),
@@ -75,6 +113,14 @@ def bounds(*splats: Gaussians) -> Bounds:
         np.concatenate([one.opacities.cpu().numpy() for one in splats]),
         np.concatenate([one.scales.cpu().numpy() for one in splats]),
     )
+
+
+def upright(gaussians: Gaussians, up: str | None = None) -> str:
+    """The axis to hold up in a picture: ``up`` if given, what the splat says, else y.
+
+    No camera holds x up: a splat that says so is shown as one that says nothing.
+    """
+    return up or (gaussians.up if gaussians.up in UPRIGHT else None) or "y"
 
 
 def turntable(

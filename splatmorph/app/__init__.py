@@ -18,7 +18,6 @@ from splatmorph.errors import SplatmorphError
 COMMANDS = {
     "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
     "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
-    "landmarks": "Find landmarks on two splats: faces, and surfaces for the rest.",
     "render": "Render a run as a video or pictures; or any splat.",
     "export": "Write the splats between as files, one a time.",
     "eval": "Measure a run: landmark errors, flow laws, folding, energies.",
@@ -52,15 +51,21 @@ def launch(
     verbose: Annotated[
         bool, Parameter(name="--verbose", negative="", help="Show tracebacks.")
     ] = False,
-) -> None:
+) -> int | None:
     """Morph one 3D Gaussian splat into another, by flows."""
     console.manner.quiet, console.manner.verbose = quiet, verbose
     console.listen()
-    app(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+    code: int | None = app(
+        tokens, exit_on_error=False, print_error=True, result_action="return_value"
+    )
+    return code
 
 
 def run(tokens: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit code: 0, 1 (data) or 2 (usage)."""
+    """Run the command line and return its exit code.
+
+    0 where the user got what was asked, 1 (data), 2 (usage), or what the command returned.
+    """
     tokens = sys.argv[1:] if tokens is None else list(tokens)
     # The interrupt is the fit's to handle: it keeps the best flow so far.
     app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
@@ -68,7 +73,8 @@ def run(tokens: Sequence[str] | None = None) -> int:
         if tokens and tokens[0] in COMMANDS:
             # The line of the overview gives way to the command's own text.
             app[tokens[0]].help = None
-        app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+        code = app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
+        return code if isinstance(code, int) else 0
     except CycloptsError:
         return USAGE
     except (SplatmorphError, RenderError) as error:
@@ -87,7 +93,6 @@ def run(tokens: Sequence[str] | None = None) -> int:
             f"unexpected {type(error).__name__}: {error} "
             "(a bug of ours: please report it with what --verbose prints)"
         )
-    return 0
 
 
 def main() -> None:

@@ -15,12 +15,11 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.fit import FittingOptions, PosingOptions
-from splatmorph.app.options import Auto, Device, Json, Out, Overwrite, choose_device
+from splatmorph.app.options import Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
 from splatmorph.io.reading import read_text, reading
-from splatmorph.runs.finding import Finding
 from splatmorph.runs.posing import Posing
 from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
 from splatmorph.runs.run import MANIFEST, open_run
@@ -51,7 +50,7 @@ class Result:
 
     name: str
     status: str
-    """fitted; kept, if it was there already; or failed."""
+    """fitted; kept, if it was there already; missed, if many landmarks are; or failed."""
     landmarks: int | None = None
     rms_error: float | None = None
     """Root mean square distance of the landmarks."""
@@ -61,15 +60,17 @@ class Result:
     det_min: float | None = None
     seconds: float | None = None
     message: str = ""
-    """Why it failed."""
+    """Why it failed, or what is missed."""
 
     @staticmethod
     def of(name: str, status: str, report: Mapping[str, Any]) -> Result:
         """The result that a fit's report says."""
         worst, error = next(iter(report["errors"].items()))
+        missed = report["missed"]
         return Result(
             name,
-            status,
+            "missed" if missed else status,
+            message=report["status"] if missed else "",
             landmarks=report["landmarks"],
             rms_error=(3 * report["mse_world"]) ** 0.5,
             worst_error=error,
@@ -92,17 +93,17 @@ def batch(
     out: Out = None,
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
-    auto: Auto = True,
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
-) -> None:
+) -> int:
     """Fit every pair of a table into a folder of runs, and sum them up in summary.csv.
 
     A pair that is wrong doesn't stop the others. The same command again goes on where it was
-    stopped: runs of the same inputs and options are kept; those of others need -w.
+    stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
+    where none failed but many landmarks of a pair are missed by far.
     """
-    rows, finding = read_rows(pairs), Finding(auto)
+    rows = read_rows(pairs)
     folder = make_folder(out or Path(f"{pairs.stem}-runs"))
     results: list[Result] = []
     try:
@@ -110,9 +111,9 @@ def batch(
             console.note(f"{number}/{len(rows)} {row.name}")
             run = folder / f"{row.name}.run"
             try:
-                results.append(_fit_row(row, run, fitting, posing, finding, device, overwrite))
+                results.append(_fit_row(row, run, fitting, posing, device, overwrite))
             except SplatmorphError as error:
-                console.fail(f"{row.name}: {console.spoken(error)}")
+                console.fail(f"{row.name}: {error}")
                 results.append(Result(row.name, "failed", message=console.spoken(error)))
     finally:
         _write_summary(folder / SUMMARY, results)
@@ -128,6 +129,10 @@ def batch(
             f"{', …' if len(failed) > 5 else ''}), {folder / SUMMARY} says why: mend them and give "
             "the same command again"
         )
+    missed = [result.name for result in results if result.status == "missed"]
+    for name in missed:
+        console.warn(f"{name} misses many of its landmarks by far; {folder / SUMMARY} says which")
+    return console.MISSED if missed else 0
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -175,20 +180,13 @@ def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
 
 
 def _fit_row(
-    row: Row,
-    run: Path,
-    fitting: Fitting,
-    posing: Posing,
-    finding: Finding,
-    device: str,
-    overwrite: bool,
+    row: Row, run: Path, fitting: Fitting, posing: Posing, device: str, overwrite: bool
 ) -> Result:
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
     asked = Request.of(
         (row.source, row.target),
         fitting,
         dataclasses.replace(posing, **own),
-        finding,
         on_warning=console.warn,
     )
     if (run / MANIFEST).is_file() and not has_state(run):

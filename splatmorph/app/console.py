@@ -27,6 +27,9 @@ from splatmorph.errors import OutputExistsError
 if TYPE_CHECKING:
     from splatmorph.fitting import FitProgress
 
+MISSED = 3
+"""Exit code of a command whose morph doesn't meet what was asked."""
+
 out = Console(highlight=False, soft_wrap=True)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
@@ -60,14 +63,14 @@ def note(message: str) -> None:
 
 
 def warn(message: str) -> None:
-    """Print a warning to stderr, unless ``--quiet``; the library's are spoken."""
+    """Print a warning to stderr, unless ``--quiet``."""
     if not manner.quiet:
         err.print(f"warning: {spoken(message)}", style="yellow", markup=False)
 
 
 def fail(message: str) -> None:
     """Print the one line of an error to stderr, whatever the manner."""
-    err.print(f"error: {message}", style="red", markup=False)
+    err.print(f"error: {spoken(message)}", style="red", markup=False)
 
 
 def spoken(message: object) -> str:

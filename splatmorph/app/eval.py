@@ -39,10 +39,18 @@ def eval(
 ) -> None:
     """Measure a run: landmark errors, flow laws, folding, energies."""
     opened = open_run(run)
-    splats = [one.gaussians.means for one in opened.load_inputs()]
+    inputs = opened.load_inputs()
+    splats = [one.gaussians.means for one in inputs]
     pairs = None if held_out is None else read_pairs(held_out)
     # A leg of an average goes from one splat to the mean shape, where no splat is.
-    ends = splats if opened.is_mean else [torch.cat(pair) for pair in pairwise(splats)]
+    ends = (
+        splats
+        if opened.is_mean
+        else [
+            torch.cat([source, leg.frame.inverse()(target)])
+            for leg, (source, target) in zip(opened.legs, pairwise(splats), strict=True)
+        ]
+    )
     legs = [measure(leg, points, pairs) for leg, points in zip(opened.legs, ends, strict=True)]
     if json:
         console.emit_json({"run": str(run), "legs": legs})
@@ -53,7 +61,7 @@ def eval(
 
 def measure(leg: Leg, splats: Tensor, pairs: tuple[Tensor, Tensor] | None) -> dict[str, Any]:
     """What ``eval`` says of one flow, in JSON's types; ``splats`` are its centers, both sides."""
-    quality = evaluate(leg.flow, leg.source_points, leg.target_points, leg.names, splats)
+    quality = evaluate(leg.flow, leg.source_points, leg.aligned_points, leg.names, splats)
     measured = {
         "flow": leg.flow.config(),
         "landmarks": len(leg.names),
@@ -63,8 +71,8 @@ def measure(leg: Leg, splats: Tensor, pairs: tuple[Tensor, Tensor] | None) -> di
     measured["det_min_at"] = list(quality.det_min_at)
     if pairs is not None:
         source, target = pairs
-        before = (source - target).norm(dim=1)
-        after = (leg.flow(source, 1.0) - target).norm(dim=1)
+        before = (leg.frame(source) - target).norm(dim=1)
+        after = (leg.frame(leg.flow(source, 1.0)) - target).norm(dim=1)
         measured["held_out"] = {
             "points": len(source),
             "mean_before": float(before.mean()),

@@ -11,7 +11,7 @@ from cyclopts import Parameter
 from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import (
-    AS_THEY_ARE,
+    DEFAULT_BLENDING,
     Blending,
     Out,
     Overwrite,
@@ -46,7 +46,15 @@ def export(
         bool,
         Parameter(negative="", help="Keep every splat in every frame, for players that need it."),
     ] = False,
-    blending: Blending = AS_THEY_ARE,
+    stay: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Keep every frame in the source's place, the target moved there rigidly; else "
+            "the frames go from where the one stands to where the other does.",
+        ),
+    ] = False,
+    blending: Blending = DEFAULT_BLENDING,
     overwrite: Overwrite = False,
 ) -> None:
     """Write the morph as splat files, one a time, and frames.json with the t of each.
@@ -67,6 +75,8 @@ def export(
         return
     if stable_count:
         options["stable_count"], prune = True, False
+    if stay:
+        options["stay"] = True
     times = _times(frames, t, len(inputs) - 1)
     if single and len(times) > 1:
         raise OptionError(

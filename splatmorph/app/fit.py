@@ -7,25 +7,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from cyclopts import Parameter
+from torch import Tensor
 
 from splatmorph.app import console
-from splatmorph.app.options import Auto, Device, Out, Overwrite, Searching, Splat, choose_device
-from splatmorph.runs.finding import Finding
+from splatmorph.app.options import Device, Out, Overwrite, Splat, choose_device
 from splatmorph.runs.posing import Posing
-from splatmorph.runs.request import (
-    DEFAULT_FITTING,
-    DEFAULT_POSING,
-    Fitting,
-    Request,
-    claim_run,
-)
+from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
 from splatmorph.runs.run import Run
+from splatmorph.runs.standing import standing
 from splatmorph.runs.state import has_state
 
 FittingOptions = Annotated[Fitting, Parameter(name="*")]
 PosingOptions = Annotated[Posing, Parameter(name="*")]
-DEFAULT_SEARCH = Searching()
 
 
 def fit(
@@ -39,44 +34,24 @@ def fit(
     ] = False,
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
-    auto: Auto = True,
-    refine: Annotated[
-        bool,
-        Parameter(
-            negative="",
-            help="Add landmarks on the surfaces to those given: for few (6 to 12) of them.",
-        ),
-    ] = False,
-    searching: Searching = DEFAULT_SEARCH,
     device: Device = "cpu",
     resume: Annotated[
         bool, Parameter(negative="", help="Go on with a fit that was interrupted.")
     ] = False,
     overwrite: Overwrite = False,
-) -> None:
+) -> int:
     """Fit the flow that carries one splat's landmarks to the other's, and write a run directory.
-
-    Where there are no landmarks, they are looked for: faces, and surfaces for the rest.
 
     Without -o the run is made in the current folder, as SOURCE-TARGET.run.
 
     With more than two splats the run is a chain whose t goes from 0 at the first to n - 1 at the
     n-th; with --mean it is their average.
+
+    Exits with 3 where many landmarks are missed by far; the run is kept.
     """
-    if out is not None:
-        claim_run(out, resume=resume, overwrite=overwrite)
-    finding = Finding(auto, refine, **vars(searching), seed=fitting.seed)
-    with console.progress("looking for landmarks") as update:
-        asked = Request.of(
-            (source, target, *more),
-            fitting,
-            posing,
-            finding,
-            mean=mean,
-            on_warning=console.warn,
-            on_search=update,
-        )
+    asked = Request.of((source, target, *more), fitting, posing, mean=mean, on_warning=console.warn)
     folder = out or asked.folder
+    warnings: list[str] = []
     try:
         with console.fitting() as on_step:
             run = asked.fit(
@@ -85,13 +60,19 @@ def fit(
                 resume=resume,
                 overwrite=overwrite,
                 on_step=on_step,
-                on_warning=console.warn,
+                on_warning=warnings.append,
             )
     except KeyboardInterrupt:
         if has_state(folder):
             console.warn("interrupted: the same command with --resume goes on")
         raise
+    missed = [leg.report["status"] for leg in run.legs if leg.report["missed"]]
+    for status in missed:
+        console.fail(status)
+    for warning in warnings:
+        console.warn(warning)
     _summarise(asked, run, folder)
+    return console.MISSED if missed else 0
 
 
 def _summarise(asked: Request, run: Run, folder: Path) -> None:
@@ -99,16 +80,18 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
     names = " → ".join(one.name for one in asked.inputs)
     counts = " + ".join(f"{len(one.gaussians):,}" for one in asked.inputs)
     console.say(f"{names}: {counts} splats")
-    for leg in asked.legs:
-        if leg.found is not None:
-            console.say(str(leg.found))
-    for report in (leg.report for leg in run.legs):
+    for i, leg in enumerate(run.legs):
+        report = leg.report
+        if said := standing(leg.frame, leg.source_points, _offset(asked, i)):
+            console.say(said)
         if report["interrupted"]:
             way = "--resume goes on" if has_state(folder) else "-w begins anew"
             console.warn(f"interrupted: the best flow so far is kept; the same command with {way}")
         console.say(
             f"{report['landmarks']} landmarks, {report['seconds']:.2f} s: {report['status']}"
         )
+        if report["predicted"] is not None:
+            console.say(f"landmarks predict one another within {report['predicted']:.2g}")
         console.say(_errors_of(report))
         shown = ", ".join(f"{name} {value:.1e}" for name, value in report["laws"].items())
         console.say(f"flow laws, largest error in units of the box: {shown}")
@@ -117,6 +100,14 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
     typed = shlex.quote(str(folder))
     console.say(f"  splatmorph render {typed}              a turntable while it morphs")
     console.say(f"  splatmorph export {typed} --frames 5   the splats in between")
+
+
+def _offset(asked: Request, leg: int) -> Tensor | None:
+    """How far the target's offset is from the source's; None for a leg to the mean shape."""
+    if asked.mean:
+        return None
+    source, target = (torch.tensor(one.gaussians.offset) for one in asked.inputs[leg : leg + 2])
+    return target.double() - source.double()
 
 
 def _errors_of(report: Mapping[str, Any]) -> Any:

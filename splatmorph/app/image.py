@@ -17,6 +17,8 @@ from splatmorph.app.render import STILLS, WITH_ALPHA, frame_times
 from splatmorph.errors import OptionError
 from splatmorph.fitting import FitConfig, FitReport, fit
 from splatmorph.flows import Linear, make_flow
+from splatmorph.geometry.alignment import similarity_between
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.images import (
     Canvas,
     FlowWarp,
@@ -34,11 +36,9 @@ from splatmorph.images.draw import contact_sheet, warped_grid
 from splatmorph.images.faces import detect_face
 from splatmorph.images.generative import DiffusersAutoencoder, LatentBlend
 from splatmorph.landmarks import Landmarks
+from splatmorph.runs.standing import standing
 
 SHEET_FRAMES = 12
-SMOOTHING = 1e-4
-"""Landmarks of pictures are good to a pixel or so: this meets them to that."""
-
 FOUND = ("auto", "optical-flow", "face")
 
 Pair = tuple[Landmarks, Landmarks]
@@ -73,8 +73,8 @@ class Warping:
     """node or ncf; or a baseline: ifmorph, tps, delaunay, linear (none: a crossfade)."""
     field: str | None = None
     """Of the node flow: spline or siren."""
-    smoothing: float = SMOOTHING
-    """Weight of bending against missed landmarks; 0 meets them."""
+    smoothing: float | None = None
+    """Weight of bending against missed landmarks, 1e-4 if not given; 0 meets them."""
     interpolation: str = "bilinear"
     """Between pixels: bilinear or bicubic."""
     edge: str = "edge"
@@ -92,7 +92,7 @@ class Mixing:
     """The directory of an AutoencoderKL of diffusers."""
 
 
-AS_FOUND, BY_NODE, EVENLY = Pairing(), Warping(), Mixing()
+DEFAULT_PAIRING, DEFAULT_WARPING, DEFAULT_MIXING = Pairing(), Warping(), Mixing()
 
 
 def image(
@@ -101,9 +101,9 @@ def image(
     /,
     *,
     out: Out = None,
-    pairing: Pairing = AS_FOUND,
-    warping: Warping = BY_NODE,
-    mixing: Mixing = EVENLY,
+    pairing: Pairing = DEFAULT_PAIRING,
+    warping: Warping = DEFAULT_WARPING,
+    mixing: Mixing = DEFAULT_MIXING,
     size: Annotated[SizeOption | None, Parameter(help="WIDTHxHEIGHT; the source's.")] = None,
     frames: Annotated[int, Parameter(help="Frames of the video.")] = 60,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
@@ -115,11 +115,11 @@ def image(
     seed: Seed = 0,
     json: Json = False,
     overwrite: Overwrite = False,
-) -> None:
+) -> int:
     """Morph one picture into another: by default a video that goes there and back.
 
     The output's extension chooses: .mp4, .gif, a .png for one picture (t = 0.5 unless --t says
-    otherwise), or a folder of PNG frames.
+    otherwise), or a folder of PNG frames. Exits with 3 where many landmarks are missed by far.
     """
     path = out or Path(f"{source.stem}-{target.stem}.mp4")
     for written in (path, sheet, grid):
@@ -144,7 +144,12 @@ def image(
         empty = torch.empty(0, 2, dtype=torch.float64)
         matched = pair[0].match(pair[1])[:2] if pair else (empty, empty)
         write_image(grid, warped_grid(morph, *matched))
+    if report is not None and report.missed:
+        console.fail(report.status)
+    if not json and isinstance(warp, FlowWarp) and pair is not None:
+        _say_standing(warp.frame, pair[0].points, pictures[0].canvas.pixel)
     _summarise(morph, report, [p for p in (done, sheet, grid) if p is not None], json)
+    return console.MISSED if report is not None and report.missed else 0
 
 
 def _blend(mixing: Mixing) -> Blend:
@@ -182,10 +187,12 @@ def _warp(
     torch.manual_seed(seed)
     options = {"field": warping.field} if warping.field else {}
     flow = make_flow(warping.warp, dim=2, **options)
+    frame = similarity_between(*pair[0].match(pair[1])[:2])
+    ends = pair[0], pair[1].moved(frame.inverse())
     with console.fitting() as on_step:
         config = FitConfig(seed=seed, smoothing=warping.smoothing)
-        report = fit(flow, *pair, config, domain=_domain(canvases[0]), on_step=on_step)
-    return FlowWarp(flow), pair, report
+        report = fit(flow, *ends, config, domain=_domain(canvases[0]), on_step=on_step)
+    return FlowWarp(flow, frame), pair, report
 
 
 def _domain(canvas: Canvas) -> torch.Tensor:
@@ -241,6 +248,12 @@ def _write(morph: ImageMorph, path: Path, times: list[float], fps: float) -> Pat
         if kind in STILLS:
             return write_image(path, next(frames()))
         return write_video(path, frames(), fps)
+
+
+def _say_standing(frame: Similarity, points: torch.Tensor, pixel: float) -> None:
+    in_pixels = Similarity(frame.rotation, frame.scale, frame.shift / pixel)
+    if said := standing(in_pixels, points / pixel):
+        console.say(f"{said} (pixels)")
 
 
 def _summarise(

@@ -12,6 +12,7 @@ from splatmorph.app import console
 from splatmorph.app.options import Json
 from splatmorph.avatars import is_avatar, summarize
 from splatmorph.errors import SplatmorphError
+from splatmorph.gaussians import FAINTEST_DRAWN
 from splatmorph.runs.inputs import Input, bounding_box, load_input
 
 
@@ -28,7 +29,7 @@ def inspect(
             described.append(describe(file))
         except SplatmorphError as error:
             first_error = first_error or error
-            described.append({"file": str(file), "error": str(error)})
+            described.append({"file": str(file), "error": console.spoken(error)})
     if json:
         console.emit_json({"files": described})
     else:
@@ -60,7 +61,7 @@ def describe(file: Path) -> dict[str, Any]:
         "bounds_98_percent": [low, high],
         "median_largest_scale": float(largest.median()),
         "median_opacity": float(gaussians.opacities.median()),
-        "invisible": int((gaussians.opacities < 1 / 255).sum()),
+        "invisible": int((gaussians.opacities < FAINTEST_DRAWN).sum()),
         "unnormalised_quats": int(((norms - 1).abs() > 1e-3).sum()),
         "extras": sorted(gaussians.extras),
         "landmarks": _landmarks(loaded),
@@ -78,7 +79,7 @@ def _rig(file: Path) -> dict[str, Any]:
         "track_frames": found.frames,
         "mesh": found.mesh_file and str(found.mesh_file),
         "FLAME": str(found.flame_file) if found.flame_file else "not found",
-        "missing": found.hint,
+        "missing": found.hint and console.spoken(found.hint),
     }
 
 

@@ -12,8 +12,8 @@ from cyclopts import Parameter
 from renderer import Camera, orbit, read_cameras, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
-    AS_THEY_ARE,
-    FROM_THE_FRONT,
+    DEFAULT_BLENDING,
+    DEFAULT_VIEWPOINT,
     Blending,
     ColourOption,
     Device,
@@ -27,7 +27,7 @@ from splatmorph.app.options import (
 from splatmorph.avatars import Drive, is_avatar, track_of
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.rendering import SWING, bounds, there_and_back, turntable
+from splatmorph.rendering import SWING, bounds, there_and_back, turntable, upright
 from splatmorph.rendering import render as render_frame
 from splatmorph.runs.inputs import load_splat
 from splatmorph.runs.run import open_run
@@ -57,9 +57,9 @@ def render(
     t: TimesOption = None,
     frames: Annotated[int, Parameter(help="How many frames.")] = 120,
     fps: Annotated[float, Parameter(help="Frames a second.")] = 30.0,
-    view: Viewpoint = FROM_THE_FRONT,
+    view: Viewpoint = DEFAULT_VIEWPOINT,
     background: ColourOption = (1.0, 1.0, 1.0),
-    blending: Blending = AS_THEY_ARE,
+    blending: Blending = DEFAULT_BLENDING,
     drive: Annotated[
         Path | None,
         Parameter(help="A FLAME track (flame_param.npz, or an avatar) that moves both avatars."),
@@ -120,19 +120,21 @@ def _shot(
         return Shot(iter([splat] * count), (splat,), FULL_CIRCLE)
     run = open_run(what)
     inputs = run.load_inputs()
-    times = frame_times(t, count, len(inputs) - 1)
-    extent = tuple(one.gaussians for one in inputs)
     if run.is_mean:
         splat = run.average(inputs, **blending)
         return Shot(iter([splat] * count), (splat,), SWING)
+    times = frame_times(t, count, len(inputs) - 1)
+    # In the source's place the object stays before the camera, wherever the captures stand.
+    morph = run.morph(inputs, stay=True, **blending)
+    extent = tuple(morph.sequence(range(len(inputs))))
     if drive is None:
-        return Shot(run.morph(inputs, **blending).sequence(times), extent, SWING)
+        return Shot(morph.sequence(times), extent, SWING)
     avatars = [one.avatar for one in inputs]
     if len(avatars) != 2 or avatars[0] is None or avatars[1] is None:
         raise OptionError(f"--drive moves rigged avatars, but {what} is a run of other splats")
-    leg = run.legs[0]
-    blending = {"landmarks": leg.source_points, **blending}
-    driven = Drive(avatars[0], avatars[1], leg.flow, track_of(drive), **blending)
+    leg, track = run.legs[0], track_of(drive)
+    blending |= {"landmarks": leg.source_points, "frame": leg.frame, "stay": True}
+    driven = Drive(avatars[0], avatars[1], leg.flow, track, **blending)
     return Shot(driven.sequence(times), extent, SWING)
 
 
@@ -157,16 +159,17 @@ def _sheet(
         times = list(t.values)
     degrees = SWING if view.orbit is None else view.orbit
     width, height = view.size
+    morph = run.morph(inputs, stay=True, **blending)
     cameras = orbit(
-        bounds(*(one.gaussians for one in inputs)),
+        bounds(*morph.sequence(range(len(inputs)))),
         [view.azimuth - degrees, view.azimuth, view.azimuth + degrees],
         elevation=view.elevation,
-        up=view.up,
+        up=upright(inputs[0].gaussians, view.up),
         width=width,
         height=height,
     )
     return contact_sheet(
-        run.morph(inputs, **blending),
+        morph,
         times,
         cameras,
         background=background or (1.0, 1.0, 1.0),
@@ -185,7 +188,7 @@ def _cameras(view: Viewpoint, shot: Shot, count: int) -> Sequence[Camera]:
         degrees=shot.swing if view.orbit is None else view.orbit,
         azimuth=view.azimuth,
         elevation=view.elevation,
-        up=view.up,
+        up=upright(shot.extent[0], view.up),
         size=view.size,
     )
 

@@ -10,9 +10,9 @@ from cyclopts import Parameter
 
 from renderer import orbit, write_image, write_video
 from splatmorph.app import console
-from splatmorph.app.options import Out, Overwrite, RunPath, Size, SizeOption
+from splatmorph.app.options import Out, Overwrite, RunPath, Size, SizeOption, UpOption
 from splatmorph.errors import OptionError
-from splatmorph.rendering import turntable
+from splatmorph.rendering import turntable, upright
 from splatmorph.view import streamlines as drawing
 from splatmorph.view.subject import Subject, open_subject
 
@@ -41,7 +41,7 @@ def streamlines(
     elevation: Annotated[
         float, Parameter(help="Degrees above the object.", allow_leading_hyphen=True)
     ] = 10.0,
-    up: Annotated[str, Parameter(help="The axis that is up.", allow_leading_hyphen=True)] = "y",
+    up: UpOption = None,
     size: SizeOption = PANEL,
     frames: Annotated[int, Parameter(help="Pictures of a video.")] = 48,
     interactive: Annotated[
@@ -62,13 +62,14 @@ def streamlines(
     if not interactive:
         console.claim(path, overwrite)
     subject, _ = open_subject(run)
+    above = upright(subject.morph.source, up)
     subjects = [subject]
     if compare:
         subjects = [_refitted(subject, name) for part in compare for name in part.split(",")]
     lines = [drawing.trace(one, seeds=seeds, colouring=colour) for one in subjects]
     around = subject.bounds()
     width, height = size
-    view = orbit(around, [azimuth], elevation=elevation, up=up, width=width, height=height)[0]
+    view = orbit(around, [azimuth], elevation=elevation, up=above, width=width, height=height)[0]
     if interactive:
         return drawing.show(subjects, lines, view)
     if kind == ".vtp":
@@ -80,7 +81,7 @@ def streamlines(
     elif kind in STILLS:
         write_image(path, drawing.picture(subjects, lines, view))
     else:
-        views = turntable(around, frames, azimuth=0, elevation=elevation, up=up, size=size)
+        views = turntable(around, frames, azimuth=0, elevation=elevation, up=above, size=size)
         with console.progress("drawing") as update:
 
             def pictures() -> Iterator[Any]:

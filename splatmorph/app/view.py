@@ -8,8 +8,9 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, RunPath
+from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, RunPath, UpOption
 from splatmorph.errors import OptionError
+from splatmorph.rendering import upright
 from splatmorph.view.page import MAX_SPLATS, write_page
 from splatmorph.view.subject import open_subject
 
@@ -24,7 +25,7 @@ def view(
     ramp: Annotated[str | None, Parameter(help="How opacities fade at first.")] = None,
     blend: Annotated[str | None, Parameter(help="How the halves meet.")] = None,
     covariance: Annotated[str | None, Parameter(help="What the flow does to shapes.")] = None,
-    up: Annotated[str, Parameter(help="The axis that is up.", allow_leading_hyphen=True)] = "y",
+    up: UpOption = None,
     background: ColourOption = None,
     max_splats: Annotated[
         int, Parameter(help="Thin both splats out to this many together.")
@@ -46,12 +47,13 @@ def view(
         raise OptionError(f"{out}: the page is an .html (for pictures, see  splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
     subject, report = open_subject(run, **Blending(blend, ramp, covariance).chosen())
+    above = upright(subject.morph.source, up)
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
 
         draw_diagnostics(diagnostics, subject, report.get("errors", {}), read_history(run))
     if out is not None:
-        page = write_page(out, subject, up=up, background=background, max_splats=max_splats)
+        page = write_page(out, subject, up=above, background=background, max_splats=max_splats)
         if page.thinned:
             console.warn(
                 f"thinned out from {page.visible} to {page.splats} splats: "
@@ -67,7 +69,7 @@ def view(
 
         paper = (1.0, 1.0, 1.0) if background is None else background
         viewer = serve(
-            subject, host=host, port=port, up=up, background=paper, max_splats=max_splats
+            subject, host=host, port=port, up=above, background=paper, max_splats=max_splats
         )
         console.say(f"look at {viewer.address}, stop with Ctrl-C")
         viewer.run()

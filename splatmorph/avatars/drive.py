@@ -45,7 +45,7 @@ class Drive:
         track: what moves them; see ``Track.read``.
         whole_head: also take the rotation and translation of the whole head. They are left out
             otherwise, for the heads to stay before the camera and their shading to stay right.
-        frame: where the target stands, seen from the source.
+        frame, stay: where the target stands, and whether to keep all in the source's place.
         options: those of ``Morph`` (ramp, covariance, ease, …).
 
     Raises:
@@ -62,23 +62,22 @@ class Drive:
         whole_head: bool = False,
         ease: str = "linear",
         frame: Similarity | None = None,
+        stay: bool = False,
         **options: Any,
     ) -> None:
         for avatar in (source, target):
             if not avatar.is_canonical:
                 raise OptionError(
                     f"{avatar.name} was fitted in another pose ({avatar.posed}), but a track "
-                    "drives heads from the canonical one: fit again without --frame, --pose-from "
-                    "and --mesh"
+                    "drives heads from the canonical one: fit again without `frame`, `pose_from` "
+                    "and `mesh`"
                 )
         self.track = track
         self.flow = flow
-        self._frame = frame or Similarity.identity()
+        options |= {"frame": frame or Similarity.identity(), "stay": stay, "ease": ease}
         self._whole_head = whole_head
         self._flame, self._rests = _common_heads(source, target)
-        self._morph = Morph(
-            _marked(source), _marked(target), flow, ease=ease, frame=self._frame, **options
-        )
+        self._morph = Morph(_marked(source), _marked(target), flow, **options)
         self._ease = EASES[ease]
 
     def frames(self, count: int) -> list[int]:
@@ -120,12 +119,14 @@ class Drive:
         with torch.no_grad():
             # A head that has faded out stays at the other's end, as its splats do.
             source = self.flow.trajectory(first, [min(t, 1.0) for t in eased])
-            aligned = self._frame.inverse()(second)
+            aligned = self._morph.frame.inverse()(second)
             target = self.flow.trajectory(aligned, [max(t - 1, -1.0) for t in eased])
         weight = torch.tensor(eased, dtype=source.dtype).clamp(0, 1)[:, None, None]
         meshes = (1 - weight) * source + weight * target
+        if self._morph.stay:
+            return meshes
         return torch.stack(
-            [self._frame.power(t)(mesh) for t, mesh in zip(eased, meshes, strict=True)]
+            [self._morph.frame.power(t)(mesh) for t, mesh in zip(eased, meshes, strict=True)]
         )
 
     def _pose(self, frame: int) -> Pose:

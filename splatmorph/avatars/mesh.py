@@ -53,7 +53,7 @@ def read_mesh(path: Path, faces: Path | None, flame: Path | None) -> tuple[Tenso
     if own is None:
         raise ReadError(
             f"{path} has vertices but no faces: put faces.npy ({FACES}, 3) beside it, give a mesh "
-            "with faces (.obj, .ply), or give FLAME by --flame"
+            "with faces (.obj, .ply), or give FLAME by `flame`"
         )
     return torch.from_numpy(vertices.astype(np.float64)), _checked(own, path, len(vertices))
 

@@ -111,7 +111,7 @@ def find_flame(given: str | Path | None, *, near: Path | None = None) -> Path | 
     Raises:
         ReadError: something was given, and FLAME is not there.
     """
-    for origin, named in (("--flame", given), (FLAME_VARIABLE, os.environ.get(FLAME_VARIABLE))):
+    for origin, named in (("`flame`", given), (FLAME_VARIABLE, os.environ.get(FLAME_VARIABLE))):
         if not named:
             continue
         place = Path(named).expanduser()
@@ -138,14 +138,14 @@ def find_embedding(flame: str | Path | None, *, near: Path) -> Path:
         raise ReadError(
             f"the 70 landmarks need {EMBEDDING_NAME}, which was not found: copy it from "
             f"{CHECKOUT} of github.com/ShenhanQian/GaussianAvatars into the folder of "
-            f"{FLAME_VARIABLE} or --flame, or choose --landmarks-set 254, which needs no file"
+            f"{FLAME_VARIABLE} or `flame`, or choose `landmarks_set` 254, which needs no file"
         )
     return found
 
 
 STEPS = (
     "to get it: register at https://flame.is.tue.mpg.de, download 'FLAME 2023', unpack "
-    f"{FLAME_NAMES[0]} into any folder, and give that folder by --flame or in the environment "
+    f"{FLAME_NAMES[0]} into any folder, and give that folder by `flame` or in the environment "
     f"variable {FLAME_VARIABLE}"
 )
 

@@ -39,7 +39,7 @@ def pose_warnings(
         warnings.append(
             f"{source.name} and {target.name} are posed apart ({', '.join(apart)}): a flow moves "
             "points but can't open a mouth, so lips will smear; pose both canonically (the "
-            "default), or by one frame (--frame with --pose-from)"
+            "default), or by one frame (`frame` with `pose_from`)"
         )
     same = source.vertices.shape == target.vertices.shape
     if by_mesh and same and torch.equal(source.vertices, target.vertices):
@@ -55,7 +55,7 @@ def _half_known(posed: Avatar) -> str:
     return (
         f"{posed.name} is a rigged avatar, posed {posed.posed}, and the other a plain splat in a "
         "pose of its own: a flow can't open a mouth, so check that both look alike, and pose "
-        f"{posed.name} by --frame if they don't"
+        f"{posed.name} by `frame` if they don't"
     )
 
 

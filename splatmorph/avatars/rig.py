@@ -82,7 +82,7 @@ def read_rig(
         raise ReadError(
             f"{places.splats} lies in the frames of a head's triangles, but there is neither "
             "flame_param.npz nor mesh_verts.npy beside it: copy the one it was trained with there, "
-            "or give --mesh"
+            "or give `mesh`"
         )
     known = find_flame(flame, near=places.splats) if places.faces is None else None
     vertices, faces = read_mesh(places.mesh, places.faces, known)
@@ -118,7 +118,7 @@ def _by_parameters(
     if model is None:
         raise ReadError(
             f"{places.splats} needs the FLAME head model, which was not found; {STEPS}; or give "
-            "the head's vertices by --mesh"
+            "the head's vertices by `mesh`"
         )
     head = Flame.read(model, teeth=int(binding.max()) >= FACES)
     _require_faces(places.splats, binding, len(head.faces), "FLAME with teeth")

@@ -53,7 +53,7 @@ def summarize(
     if track is None and places.mesh is None:
         hint = (
             "neither flame_param.npz nor mesh_verts.npy lies beside the splats: copy the one it "
-            "was trained with there, or give --mesh"
+            "was trained with there, or give `mesh`"
         )
     elif track is not None and mesh is None and model is None:
         hint = hint or f"FLAME was not found; {STEPS}"

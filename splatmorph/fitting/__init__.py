@@ -5,18 +5,27 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError
-from splatmorph.fitting.diagnosis import MISSED, SQUEEZED, choose_steps, contradictions
+from splatmorph.fitting.choice import choose
+from splatmorph.fitting.diagnosis import (
+    SQUEEZED,
+    choose_steps,
+    contradictions,
+    missed_by_far,
+    status_of,
+)
 from splatmorph.fitting.methods import fitted_by, method_of
 from splatmorph.fitting.report import ENERGIES, FitConfig, FitProgress, FitReport, FitState
 from splatmorph.fitting.task import Region, Task
 from splatmorph.flows import Flow, Node
+from splatmorph.flows.linear import Linear
 from splatmorph.landmarks import Landmarks
-from splatmorph.metrics import Quality, evaluate
+from splatmorph.metrics import evaluate
 
 __all__ = [
     "ENERGIES",
@@ -33,6 +42,8 @@ DEFAULTS = FitConfig()
 """The settings of a fit that is asked for nothing else."""
 PROBES = 128
 """Points of the object at which a report looks."""
+PLANE_SMOOTHING = 1e-4
+"""Landmarks of pictures are good to a pixel or so: this meets them to that."""
 INTEGRATION_SHARE = 0.1
 """The integration error may be this part of the root mean squared landmark error …"""
 INTEGRATION_FLOOR = 2e-6
@@ -52,9 +63,10 @@ def fit(
 ) -> FitReport:
     """Fit ``flow`` in place so that Φ(p, t) = Φ(q, t - 1) for the matched landmarks p and q.
 
-    The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then the
-    flow is solved for or trained, as ``methods`` says of its class. Everything runs where the flow
-    is, the landmarks included.
+    The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then how
+    far to trust them is chosen, unless ``config`` says it, and the flow is solved for or trained,
+    as ``methods`` says of its class. Everything runs where the flow is, the landmarks included.
+    Sets that stand apart, ``similarity_between`` brings together first.
 
     Arguments:
         source, target: landmarks in world units, matched by ``source.match(target)``.
@@ -84,13 +96,33 @@ def fit(
     ends = flow.to_unit(p), flow.to_unit(q)
     inside = None if domain is None else flow.to_unit(domain.to(p)).float()
     region = Region(torch.cat(ends).float(), inside)
-    task = Task(*ends, region, config, record, resume, on_state)
+    chosen, predicted = _chosen(flow, *ends, config)
+    task = Task(*ends, region, chosen, record, resume, on_state)
     try:
         finished = method_of(flow)(flow, task)
     except KeyboardInterrupt:
         finished = False
     seconds = time.perf_counter() - begun
-    return _report(flow, p, q, names, domain, config, history, seconds, finished)
+    report = _report(flow, p, q, names, domain, chosen, history, seconds, finished)
+    asked = config.smoothing is not None or flow.kind == Linear.kind
+    return replace(
+        report,
+        predicted=predicted,
+        status=status_of(report, asked=asked),
+        missed=not asked and missed_by_far(report),
+    )
+
+
+def _chosen(flow: Flow, p: Tensor, q: Tensor, config: FitConfig) -> tuple[FitConfig, float | None]:
+    """The settings with smoothing and shear, and within what the landmarks predict one another."""
+    if config.smoothing is not None or flow.kind == Linear.kind:
+        return config, None
+    if flow.dim == 2:
+        return replace(config, smoothing=PLANE_SMOOTHING), None
+    found = choose(p, q)
+    shear = found.shear if config.shear is None else config.shear
+    chosen = replace(config, smoothing=found.smoothing, shear=shear)
+    return chosen, found.predicted * float(flow.scale)
 
 
 def _lay_frame(flow: Flow, p: Tensor, q: Tensor) -> None:
@@ -128,7 +160,7 @@ def _report(
             "the fitted flow is NaN or infinite at its landmarks: look for landmarks that "
             "contradict each other, or raise the smoothing"
         )
-    warnings = contradictions(p, q, names)
+    warnings = contradictions(flow.to_unit(p), flow.to_unit(q), names)
     if quality.det_min < SQUEEZED:
         does = "folds" if quality.det_min <= 0 else "squeezes"
         where = ", ".join(f"{value:.4g}" for value in quality.det_min_at)
@@ -140,19 +172,10 @@ def _report(
         steps=history[-1].step if history else 0,
         seconds=seconds,
         interrupted=not finished,
-        status=_status(quality, finished),
+        status="",
+        missed=False,
+        smoothing=config.bending,
+        predicted=None,
         warnings=tuple(warnings),
         history=tuple(history),
-    )
-
-
-def _status(quality: Quality, finished: bool) -> str:
-    how = "" if finished else "interrupted, the best so far is kept: "
-    missed = {n: error for n, error in quality.errors.items() if error > MISSED * quality.scale}
-    if not missed:
-        return f"{how}landmarks met"
-    named = ", ".join(f"{name} by {error:.3g}" for name, error in list(missed.items())[:3])
-    return (
-        f"{how}{len(missed)} of {len(quality.errors)} landmarks missed by more than "
-        f"{MISSED * quality.scale:.2g}, worst {named}"
     )

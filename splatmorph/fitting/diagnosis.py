@@ -2,52 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import torch
 from torch import Tensor
 
+from splatmorph.fitting.choice import suspects
+from splatmorph.fitting.report import SMOOTHING, FitReport
 from splatmorph.flows import Node
 
-STRETCH = 20.0
-"""Neighbouring landmarks that come this many times closer or farther contradict each other."""
 MISSED = 1e-2
 """Largest error of a landmark, frame units, above which it is said to be missed: 0.5 % of the
 box's longest side, about a splat."""
+MISSED_BY_FAR = 0.03
+"""Error of a landmark, as a part of the box's longest side, that spoils a morph …"""
+MANY = 0.1
+"""… where so large a part of them have it."""
 SQUEEZED = 0.05
 """det ∂Φ/∂x below which the warp is said to squeeze."""
-MOST_WARNINGS = 5
+COINCIDE = 5e-3
+"""Landmarks so close together, frame units, are one place …"""
+STRETCH = 20.0
+"""… and so many times that apart are two."""
+UNEVEN = 4.0
+"""Times the median error that no smoothing asks for."""
+MOST_NAMED, MOST_TORN = 8, 5
 
 
 def contradictions(p: Tensor, q: Tensor, names: tuple[str, ...]) -> list[str]:
-    """Neighbours on one side that lie far apart on the other, as sentences, the worst first."""
-    found: dict[tuple[int, int], float] = {}
-    for near, far in ((p, q), (q, p)):
-        for i, j, ratio in _torn(near, far):
-            pair = (min(i, j), max(i, j))
-            found[pair] = max(found.get(pair, 0.0), ratio)
-    worst = sorted(found, key=lambda pair: -found[pair])
-    lines = [
-        f"landmarks {names[i]} and {names[j]} are {float((p[i] - p[j]).norm()):.3g} apart in the "
-        f"source and {float((q[i] - q[j]).norm()):.3g} in the target: one of them is misplaced"
-        for i, j in worst[:MOST_WARNINGS]
-    ]
-    if len(worst) > MOST_WARNINGS:
-        lines.append(f"and {len(worst) - MOST_WARNINGS} more pairs of landmarks like these")
+    """Which landmarks p, q (k, dim), frame coordinates, the others contradict, as sentences."""
+    lines = []
+    if found := [names[i] for i in suspects(p, q)]:
+        one = len(found) == 1
+        more = f" and {len(found) - MOST_NAMED} more" if len(found) > MOST_NAMED else ""
+        lines.append(
+            f"landmark{'' if one else 's'} {', '.join(found[:MOST_NAMED])}{more} "
+            f"{'is' if one else 'are'} not where the others say: misplaced, or exchanged with "
+            "another"
+        )
+    for i, j in _torn(p, q)[:MOST_TORN]:
+        lines.append(
+            f"landmarks {names[i]} and {names[j]} all but coincide on one side and lie apart on "
+            "the other: one of them is misplaced"
+        )
     return lines
 
 
-def _torn(near: Tensor, far: Tensor) -> list[tuple[int, int, float]]:
-    torn = []
-    count = min(3, len(near) - 1)
-    for start in range(0, len(near), 512):
-        block = torch.cdist(near[start : start + 512], near)
-        distance, neighbour = block.topk(count + 1, largest=False)
-        gap = (far[start : start + 512, None] - far[neighbour]).norm(dim=2)
-        ratio = gap / distance.clamp_min(1e-12)
-        for row, column in torch.nonzero(ratio > STRETCH).tolist():
-            i, j = start + row, int(neighbour[row, column])
-            if i != j:
-                torn.append((i, j, float(ratio[row, column])))
-    return torn
+def _torn(p: Tensor, q: Tensor) -> list[tuple[int, int]]:
+    """Pairs of landmarks within ``COINCIDE`` on either side, far from it on the other."""
+    torn = set()
+    for near, far in ((p, q), (q, p)):
+        for start in range(0, len(near), 512):
+            block = slice(start, start + 512)
+            close = torch.cdist(near[block], near) < COINCIDE
+            apart = torch.cdist(far[block], far) > STRETCH * COINCIDE
+            rows = torch.nonzero(close & apart).tolist()
+            torn |= {(start + i, j) for i, j in rows if start + i < j}
+    return sorted(torn)
+
+
+def status_of(report: FitReport, *, asked: bool) -> str:
+    """How a fit ended, in a line; ``asked`` says whether its smoothing was given, not chosen."""
+    how = "interrupted, the best so far is kept: " if report.interrupted else ""
+    size, count = 2 * report.scale, len(report.errors)
+    if missed_by_far(report) and not asked:
+        return f"{how}not met: {_missed(report.errors, MISSED_BY_FAR * size)}"
+    near = MISSED * report.scale
+    errors = sorted(report.errors.values())
+    if errors[-1] <= near:
+        return f"{how}landmarks met"
+    if report.smoothing <= SMOOTHING:
+        return how + _missed(report.errors, near)
+    why = "as asked" if asked else "as far as they predict one another"
+    smoothed = f"{how}landmarks smoothed, {why}: {errors[count // 2]:.2g} away (median)"
+    # What is missed by choice is missed evenly.
+    far = max(near, UNEVEN * errors[count // 2])
+    return smoothed if errors[-1] <= far else f"{smoothed}; {_missed(report.errors, far)}"
+
+
+def _missed(errors: Mapping[str, float], least: float) -> str:
+    far = [f"{name} by {error:.3g}" for name, error in errors.items() if error > least]
+    return (
+        f"{len(far)} of {len(errors)} landmarks missed by more than {least:.2g}, worst "
+        f"{', '.join(far[:3])}"
+    )
+
+
+def missed_by_far(report: FitReport) -> bool:
+    """Whether more than a tenth of the landmarks are missed by more than 3 % of the object."""
+    far = sum(error > MISSED_BY_FAR * 2 * report.scale for error in report.errors.values())
+    return far > MANY * len(report.errors)
 
 
 def choose_steps(flow: Node, points: Tensor, tolerance: float) -> int:

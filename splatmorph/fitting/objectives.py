@@ -168,7 +168,11 @@ class SirenObjective:
         def velocity(u: Tensor) -> Tensor:
             return start(u) + network(u) + base(u)
 
-        settings = FitConfig(smoothing=self.config.smoothing, tolerance=self.config.tolerance)
+        settings = FitConfig(
+            smoothing=self.config.bending,
+            shear=self.config.shear,
+            tolerance=self.config.tolerance,
+        )
         solve_spline(base, *self.ends, settings, lambda *_: None, velocity)
         base.affine += start.affine
 
@@ -192,7 +196,7 @@ class NCFObjective:
         self.p, self.q = p.float(), q.float()
         self.recipe = Recipe(800, 4e-3, 150, 1.0, 0.05)
         spline = SplineField(flow.dim)
-        settings = FitConfig(smoothing=config.smoothing)
+        settings = FitConfig(smoothing=config.bending, shear=config.shear)
         solve_spline(spline, p, q, settings, lambda *_: None)
         generator = torch.Generator().manual_seed(config.seed)
         middle = task.region.sample(STICKS, generator, BEYOND)

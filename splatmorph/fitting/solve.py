@@ -72,7 +72,7 @@ def solve_spline(
     correction, so that it begins at zero.
     """
     p, q = _distinct(p, q)
-    interpolant = SplineInterpolant(field, (p + q) / 2, config.smoothing)
+    interpolant = SplineInterpolant(field, (p + q) / 2, config.bending, config.shear)
     data = q - p if velocity is None else torch.zeros_like(p)
     flowing = velocity or field
     steps = config.steps or SPLINE_STEPS
@@ -86,7 +86,7 @@ def solve_spline(
         if not math.isfinite(mse):
             break
         # The field misses its data by λ times its weights; at the fixed point the gap makes up.
-        change = gap - config.smoothing * field.weights
+        change = gap - config.bending * field.weights
         residuals.append(float(change.square().mean()))
         if residuals[-1] < config.tolerance:
             return
@@ -146,5 +146,5 @@ def _distinct(p: Tensor, q: Tensor) -> tuple[Tensor, Tensor]:
 
 def solve_displacement(flow: ThinPlate, p: Tensor, q: Tensor, config: FitConfig) -> None:
     """Make ``flow`` the thin-plate displacement between p and q (k, dim), and back."""
-    SplineInterpolant(flow.onward, p, config.smoothing).set_values(q - p)
-    SplineInterpolant(flow.back, q, config.smoothing).set_values(p - q)
+    SplineInterpolant(flow.onward, p, config.bending, config.shear).set_values(q - p)
+    SplineInterpolant(flow.back, q, config.bending, config.shear).set_values(p - q)

@@ -157,7 +157,7 @@ class _Attempt:
         recipe = self.objective.recipe
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.rate(self.step, steps) * 0.5**self.attempt
-        weight = recipe.weight(self.step, steps, self.config.smoothing)
+        weight = recipe.weight(self.step, steps, self.config.bending)
         if self.config.energy == "none":
             weight = 0.0
         loss = self.objective.loss(weight, self.generator)

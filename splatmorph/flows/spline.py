@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import Any, ClassVar
 
 import torch
@@ -113,34 +114,69 @@ class SplineInterpolant:
     The linear system is factorised once. ``smoothing`` λ ≥ 0 trades values for bending: with
     λ > 0 the field minimises Σ|v(c_i) - y_i|² + λ · energy, at 0 it interpolates.
 
-    The polynomial part is restricted to the directions that the centers span, so that coplanar
-    or very few centers have a solution too: the field is then constant across the others.
+    The polynomial part is affine, restricted to the directions that the centers span, so that
+    coplanar or very few centers have a solution too: the field is then constant across the
+    others. With ``shear`` only what moves the centers like a similarity is free, and the rest of
+    the linear part costs as if drawn with that variance: centers that leave it open, being few or
+    close to a plane, then don't send it anywhere.
     """
 
-    def __init__(self, field: SplineField, centers: Tensor, smoothing: float) -> None:
+    def __init__(
+        self, field: SplineField, centers: Tensor, smoothing: float, shear: float | None = None
+    ) -> None:
         self.field = field
         self.centers = centers
+        self.shear = shear
         count = len(centers)
         self.mean = centers.mean(0)
-        spread = centers - self.mean
-        _, singular, axes = torch.linalg.svd(spread, full_matrices=False)
-        self.axes = axes[singular > 1e-6 * singular.max().clamp_min(1e-300)]
-        polynomials = torch.cat([torch.ones_like(spread[:, :1]), spread @ self.axes.T], dim=1)
+        self.spread = centers - self.mean
+        matrix = field.kernel(centers, centers)
+        polynomials = torch.ones_like(self.spread[:, :1])
+        if shear is None:
+            _, singular, axes = torch.linalg.svd(self.spread, full_matrices=False)
+            self.axes = axes[singular > 1e-6 * singular.max().clamp_min(1e-300)]
+            polynomials = torch.cat([polynomials, self.spread @ self.axes.T], dim=1)
+        else:
+            matrix = matrix + shear * self.spread @ self.spread.T
         extra = polynomials.shape[1]
         system = centers.new_zeros(count + extra, count + extra)
-        system[:count, :count] = field.kernel(centers, centers)
-        system[:count, :count].diagonal().add_(smoothing)
+        # A kernel matrix of clustered points is close to singular; the 1e-12 is rounding.
+        system[:count, :count] = matrix + (smoothing + 1e-12) * torch.eye(count).to(centers)
         system[:count, count:] = polynomials
         system[count:, :count] = polynomials.T
-        # A kernel matrix of clustered points is close to singular; this much is rounding.
-        system[:count, :count].diagonal().add_(1e-12)
         self.factors = torch.linalg.lu_factor(system)
 
     def set_values(self, values: Tensor) -> None:
         """Give the field the values (k, dim) at the centers."""
-        count, dim = self.centers.shape
-        padded = torch.cat([values, values.new_zeros(1 + len(self.axes), dim)])
-        solution = torch.linalg.lu_solve(*self.factors, padded)
-        slope = self.axes.T @ solution[count + 1 :]
+        count = len(self.centers)
+        if self.shear is None:
+            solution = self._solved(values)
+            slope = self.axes.T @ solution[count + 1 :]
+        else:
+            free = similar_slope(self.spread, values)
+            solution = self._solved(values - self.spread @ free)
+            slope = free + self.shear * self.spread.T @ solution[:count]
         constant = solution[count] - self.mean @ slope
         self.field.set(self.centers, solution[:count], torch.cat([constant[None], slope]))
+
+    def _solved(self, values: Tensor) -> Tensor:
+        extra = len(self.factors[1]) - len(values)
+        padded = torch.cat([values, values.new_zeros(extra, values.shape[1])])
+        return torch.linalg.lu_solve(*self.factors, padded)
+
+
+def similar_slope(x: Tensor, y: Tensor) -> Tensor:
+    """The slope B (dim, dim) of the rotation and scaling whose y ≈ x B, x (k, dim) centred.
+
+    By the pseudo-inverse: points on a line leave the turn about it open, and so it is none.
+    """
+    dim = x.shape[1]
+    basis = [torch.eye(dim)]
+    for i, j in combinations(range(dim), 2):
+        turn = torch.zeros(dim, dim)
+        turn[i, j], turn[j, i] = 1.0, -1.0
+        basis.append(turn)
+    slopes = torch.stack(basis).to(x)
+    moves = torch.stack([(x @ slope).flatten() for slope in slopes], dim=1)
+    weights = torch.linalg.pinv(moves, rtol=1e-6) @ (y - y.mean(0)).flatten()
+    return torch.einsum("n,nij->ij", weights, slopes)

@@ -12,6 +12,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+SH0 = 0.28209479177387814
+"""√(1/4π), the harmonic of degree 0: a stored f_dc shows as the colour 0.5 + SH0 · f_dc."""
 CHUNK = 1 << 13
 """Splats that are rotated at a time: their matrices stay in the cache."""
 

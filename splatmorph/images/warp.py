@@ -13,6 +13,7 @@ from torch.nn.functional import grid_sample
 
 from splatmorph.errors import OptionError
 from splatmorph.flows import Flow
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.images.canvas import Canvas
 from splatmorph.images.lattice import Lattice, LatticeMap
 
@@ -25,7 +26,6 @@ SPACINGS = (32.0, 16.0, 8.0, 4.0, 2.0)
 """Pixels between the nodes of a lattice, as they are tried."""
 
 PROBES = 2048
-ENDS = (-1.0, 1.0)
 
 BLOCK = 1 << 28
 """Bytes of lattice positions held at once; a longer sequence is integrated in stretches."""
@@ -58,12 +58,15 @@ class Warp(Protocol):
 class FlowWarp:
     """The inverse warp by a flow: at t the source is read at Φ(x, -t), the target at Φ(x, 1 - t).
 
-    The paper's I^i(x, t) = I^i(Φ(x, i - t)). The flow is followed from the nodes of a lattice,
-    once for all times, and interpolated between them. The lattice is the coarsest whose
-    positions are within ``tolerance`` of the flow's own.
+    The paper's I^i(x, t) = I^i(Φ(x, i - t)); with a frame S, in which the target stands, at
+    Φ(S(t)⁻¹x, -t) and S∘Φ(S(t)⁻¹x, 1 - t). The flow is followed from the nodes of a lattice, where
+    nothing stands apart once for all times, and interpolated between them. The lattice is the
+    coarsest whose positions are within ``tolerance`` of the flow's own.
     """
 
     flow: Flow
+    frame: Similarity = field(default_factory=lambda: Similarity.identity(2))
+    """S: where the target stands, seen from the source."""
     tolerance: float = 0.05
     """The largest error allowed, in pixels of the output."""
     _lattices: dict[Canvas, tuple[Lattice, float]] = field(
@@ -73,17 +76,25 @@ class FlowWarp:
     def maps(self, canvas: Canvas, times: Sequence[float]) -> Iterator[tuple[PixelMap, PixelMap]]:
         """As ``Warp.maps``."""
         lattice, _ = self.lattice(canvas)
-        block = max(1, BLOCK // (2 * lattice.points.nbytes))
+        block = 1
+        if self.frame.is_identity:
+            block = max(1, BLOCK // (2 * lattice.points.nbytes))
         for begin in range(0, len(times), block):
-            part = times[begin : begin + block]
-            both = [-t for t in part] + [1 - t for t in part]
-            positions = self.flow.trajectory(lattice.points, both).unflatten(0, (2, len(part)))
-            for source, target in zip(*positions, strict=True):
+            for source, target in zip(
+                *self._read(lattice.points, times[begin : begin + block]), strict=True
+            ):
                 yield LatticeMap(lattice, source), LatticeMap(lattice, target)
+
+    def _read(self, x: Tensor, times: Sequence[float]) -> tuple[Tensor, Tensor]:
+        """Where source and target are read for pixels x (m, 2) at times of one S(t): (T, m, 2)."""
+        start = self.frame.power(-times[0])(x)
+        positions = self.flow.trajectory(start, [-t for t in times] + [1 - t for t in times])
+        source, target = positions.unflatten(0, (2, len(times)))
+        return source, self.frame(target)
 
     def carry(self, points: Tensor, t: float) -> Tensor:
         """As ``Warp.carry``."""
-        return self.flow(points, t)
+        return self.frame.power(t)(self.flow(points, t))
 
     def lattice(self, canvas: Canvas) -> tuple[Lattice, float]:
         """The lattice for a canvas, found once, and its largest error in pixels at t = ±1.
@@ -99,14 +110,18 @@ class FlowWarp:
         generator = torch.Generator().manual_seed(0)
         x = torch.randint(canvas.width, (PROBES,), generator=generator)
         y = torch.randint(canvas.height, (PROBES,), generator=generator)
-        exact = self.flow.trajectory(canvas.to_world(torch.stack([x, y], dim=1) + 0.5), ENDS)
+        exact = self._farthest(canvas.to_world(torch.stack([x, y], dim=1) + 0.5))
         for spacing in SPACINGS:
             lattice = Lattice(canvas, spacing)
-            found = lattice.at_pixels(self.flow.trajectory(lattice.points, ENDS), x, y)
+            found = lattice.at_pixels(self._farthest(lattice.points), x, y)
             error = float((found - exact).norm(dim=-1).max()) / canvas.pixel
             if error <= self.tolerance:
                 break
         return lattice, error
+
+    def _farthest(self, x: Tensor) -> Tensor:
+        """Where the target is read at t = 0 and the source at t = 1, after all of the way."""
+        return torch.stack([self._read(x, [0.0])[1][0], self._read(x, [1.0])[0][0]])
 
 
 def sample(

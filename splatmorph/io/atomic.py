@@ -72,9 +72,9 @@ def remove_partials(folder: Path) -> None:
 
 def _reason(error: OSError) -> str:
     if error.errno == errno.ENOSPC:
-        return "the disk is full; free some space or choose another place with -o"
+        return "the disk is full; free some space or choose another place (`out`)"
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-        return "no permission to write there; choose another place with -o"
+        return "no permission to write there; choose another place (`out`)"
     if error.errno == errno.ENOENT:
         return "its folder does not exist"
     return str(error.strerror or error)

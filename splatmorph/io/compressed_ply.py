@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.axes import vertical_comments
 from splatmorph.io.elements import Columns, write_elements
 from splatmorph.io.packed import (
-    SH0,
     Array,
     drop_largest,
     opacity_bytes,

@@ -17,7 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from splatmorph.errors import ReadError
-from splatmorph.io.packed import FAINTEST, SH0
+from splatmorph.gaussians import FAINTEST_DRAWN
+from splatmorph.geometry.harmonics import SH0
+from splatmorph.io.packed import FAINTEST
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -25,7 +27,6 @@ RGB = ("red", "green", "blue")
 COLOUR = ("f_dc_0", "f_dc_1", "f_dc_2")
 SCALES = ("scale_0", "scale_1", "scale_2")
 
-FAINTEST_DRAWN = 1 / 255
 FLATNESS = 1e-3
 """Thickness of a flat splat beside the shorter of its two sides: it has none, and logs need one."""
 

@@ -22,13 +22,14 @@ from numpy.typing import NDArray
 from splatmorph._version import __version__
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import from_matrices, normalized, to_matrices
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.axes import upright
 from splatmorph.io.gltf_buffers import BINARY_CHUNK, GLB, JSON_CHUNK, Document, read_document
 from splatmorph.io.offsets import without_offset
-from splatmorph.io.packed import FAINTEST, SH0, as_bytes, stored_arrays, unpacked
+from splatmorph.io.packed import FAINTEST, as_bytes, stored_arrays, unpacked
 from splatmorph.io.spz import unpack_spz
 
 Array = NDArray[np.float64]

@@ -17,9 +17,6 @@ from splatmorph.io.reading import reading, require_file
 Array = NDArray[np.float64]
 Bytes = NDArray[np.uint8]
 
-SH0 = 0.28209479177387814
-"""The harmonic of degree 0: a stored f_dc shows as the colour 0.5 + SH0 * f_dc."""
-
 FAINTEST = 1e-6
 """Opacities of 0 and 1 have no finite logit; they are read as this far from it."""
 

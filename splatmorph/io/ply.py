@@ -53,7 +53,7 @@ def read_ply(path: str | Path) -> Gaussians:
         raise LocalFrameError(
             f"{path} is a GaussianAvatars file (property {BINDING}): its splats lie in the frames "
             "of mesh triangles; give the avatar's directory, with flame_param.npz or "
-            "mesh_verts.npy beside the file, or run  splatmorph bake  first"
+            "mesh_verts.npy beside the file, or bake it first"
         )
     return replace(gaussians_from_properties(columns, path), up=up)
 

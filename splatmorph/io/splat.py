@@ -13,8 +13,9 @@ import numpy as np
 
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.atomic import atomic_write
-from splatmorph.io.packed import SH0, as_bytes, opacity_bytes, read_bytes, stored_arrays, unpacked
+from splatmorph.io.packed import as_bytes, opacity_bytes, read_bytes, stored_arrays, unpacked
 
 RECORD = np.dtype(
     [("means", "<f4", 3), ("scales", "<f4", 3), ("rgb", "u1", 3), ("alpha", "u1"), ("q", "u1", 4)]

@@ -18,13 +18,10 @@ import torch
 from torch import Tensor
 from torch.nn.functional import logsigmoid
 
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 
 DENSEST = 0.99
 """Renderers draw no splat more opaque than this."""
-
-FAINTEST = 1 / 255
-"""Renderers skip what is less opaque than this."""
 
 STEPS = 128
 """Intervals of the tables of ``calibrated``."""
@@ -81,7 +78,7 @@ def calibrated(gaussians: Gaussians, weight: Weight) -> Gaussians:
         factor, narrowing, other = _between(weight.to(drawn), drawn)
     else:
         factor, narrowing, other = interpolated(_best_gaussians(weight), drawn)
-    factor = torch.minimum(factor * (1 + FAINTEST / drawn), factor / other).clamp_max(1)
+    factor = torch.minimum(factor * (1 + FAINTEST_DRAWN / drawn), factor / other).clamp_max(1)
     faded = _scaled(gaussians, factor.log())
     return replace(faded, log_scales=faded.log_scales - 0.5 * narrowing.log()[:, None])
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from splatmorph import io
 from splatmorph.errors import OutputExistsError, ReadError, WriteError
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import make_folder, remove_partials, write_json
 from splatmorph.io.reading import read_json
 from splatmorph.morph import Morph
@@ -19,9 +19,6 @@ from splatmorph.morph.chain import Chain
 INDEX = "frames.json"
 PLAN = ".frames.unfinished.json"
 ROW = ("splats", "pruned", "moved")
-
-FAINTEST_DRAWN = 1 / 255
-"""Rasterizers skip what is fainter, so that dropping it changes no picture."""
 
 
 @dataclass(frozen=True)

@@ -17,11 +17,10 @@ from torch import Tensor
 from splatmorph.errors import OptionError, OutputExistsError, WriteError
 from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
 from splatmorph.flows import Flow, Node, make_flow
+from splatmorph.geometry.alignment import similarity_between
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import mean_landmarks
-from splatmorph.registration import Found
-from splatmorph.registration.search import OnStep as OnSearch
-from splatmorph.runs.finding import Finding
 from splatmorph.runs.inputs import Input
 from splatmorph.runs.posing import Pair, Posing, landmarks_of
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
@@ -42,8 +41,9 @@ class Fitting:
     """node or ncf; or a baseline: ifmorph, tps, linear."""
     field: str | None = None
     """Of the node flow: spline (the default) or siren."""
-    smoothing: float = FitConfig.smoothing
-    """Weight of bending against missed landmarks; raise it for noisy ones, 0 meets them."""
+    smoothing: float | None = FitConfig.smoothing
+    """Weight of bending against missed landmarks, 0 meets them; chosen by the landmarks if not
+    given."""
     energy: str | None = None
     """What training keeps small: jacobian (the paper's) or hessian."""
     steps: int | None = None
@@ -73,7 +73,6 @@ class Fitting:
 
 DEFAULT_FITTING = Fitting()
 DEFAULT_POSING = Posing()
-DEFAULT_FINDING = Finding()
 
 
 @dataclass(frozen=True)
@@ -85,23 +84,25 @@ class LegRequest:
     target_points: Tensor
     """(m, 3) float64: where they go."""
     names: tuple[str, ...]
+    frame: Similarity
+    """Where the target stands, seen from the source: what the flow need not do."""
     domain: Tensor
-    """(n, 3) float64, world units: where the objects are."""
-    found: Found | None = None
-    """What a search found, where landmarks were looked for."""
+    """(n, 3) float64, world units: where the objects are, the target in the source's place."""
 
     @staticmethod
-    def of(pair: Pair, moved: Sequence[Input], found: Found | None = None) -> LegRequest:
+    def of(pair: Pair, moved: Sequence[Input]) -> LegRequest:
         """Match the landmarks of a leg that moves the splats of ``moved``.
 
         Raises:
-            LandmarkError: they don't match.
+            LandmarkError: they don't match, or mirror each other.
         """
         p, q, names = pair[0].match(pair[1])
+        frame = similarity_between(p, q)
         each = MOST_DOMAIN_POINTS // len(moved)
-        means = [one.gaussians.means for one in moved]
-        domain = torch.cat([m[:: max(1, len(m) // each)] for m in means]).double()
-        return LegRequest(p, q, names, domain, found)
+        means = [one.gaussians.means[:: max(1, len(one.gaussians) // each)] for one in moved]
+        places = Similarity.identity(), frame.inverse()
+        domain = [place(m.double()) for place, m in zip(places, means, strict=False)]
+        return LegRequest(p, q, names, frame, torch.cat(domain))
 
     def made(self, leg: Leg) -> bool:
         """Whether ``leg`` goes between the same landmarks."""
@@ -127,31 +128,19 @@ class Request:
         paths: Sequence[str | Path],
         fitting: Fitting = DEFAULT_FITTING,
         posing: Posing = DEFAULT_POSING,
-        finding: Finding = DEFAULT_FINDING,
         *,
         mean: bool = False,
         on_warning: OnWarning | None = None,
-        on_search: OnSearch | None = None,
     ) -> Request:
-        """Load the splats, match or find their landmarks; see :func:`fit_run` for the arguments.
+        """Load the splats and match their landmarks; see :func:`fit_run` for the arguments.
 
         Raises:
             SplatmorphError: an input can't be read, or has no landmarks that match.
         """
         if len(paths) < 2:
             raise OptionError(f"{len(paths)} splats are given, expected two or more")
-        warn = on_warning or _log_warning
-        inputs = posing.load(paths, warn)
-        if mean:
-            return Request(inputs, _legs_to_mean(inputs, posing), fitting, mean)
-        legs = []
-        for pair in itertools.pairwise(inputs):
-            found = finding.find(*pair, on_search, warn)
-            if found is None:
-                points = posing.thinned((landmarks_of(pair[0]), landmarks_of(pair[1])))
-            else:
-                points = found.source, found.target
-            legs.append(LegRequest.of(points, pair, found))
+        inputs = posing.load(paths, on_warning or _log_warning)
+        legs = _legs(inputs, posing, mean)
         return Request(inputs, tuple(legs), fitting, mean)
 
     @property
@@ -198,18 +187,10 @@ class Request:
             if report.interrupted and i + 1 < len(self.legs):
                 raise KeyboardInterrupt
             points = leg.source_points, leg.target_points
-            made.append(Leg(flow.cpu(), *points, leg.names, report.to_dict()))
+            made.append(Leg(flow.cpu(), leg.frame, *points, leg.names, report.to_dict()))
         inputs = tuple(remember(one) for one in self.inputs)
         run = Run(inputs, tuple(made), self.options, folder)
         save_run(folder, run, reports)
-        for i, leg in enumerate(self.legs):
-            if leg.found is not None:
-                sides = zip(
-                    self.inputs[i : i + 2], (leg.found.source, leg.found.target), strict=True
-                )
-                for one, landmarks in sides:
-                    stem = one.name if len(self.legs) == 1 else f"{i}-{one.name}"
-                    landmarks.write(folder / f"{stem}.landmarks.json")
         return run
 
     def _fit_leg(
@@ -220,7 +201,7 @@ class Request:
         return fit(
             flow,
             Landmarks(leg.source_points, leg.names),
-            Landmarks(leg.target_points, leg.names),
+            Landmarks(leg.target_points, leg.names).moved(leg.frame.inverse()),
             self.fitting.config(),
             domain=leg.domain.to(flow.center.device),
             on_step=on_step,
@@ -241,7 +222,6 @@ def fit_run(
     out: str | Path | None = None,
     fitting: Fitting = DEFAULT_FITTING,
     posing: Posing = DEFAULT_POSING,
-    finding: Finding = DEFAULT_FINDING,
     mean: bool = False,
     device: str = "cpu",
     resume: bool = False,
@@ -259,8 +239,6 @@ def fit_run(
         out: the run directory; ``A-B.run`` in the current folder if not given.
         fitting: which flow, and how it is fitted.
         posing: where landmarks come from, and how avatars are posed.
-        finding: whether and how landmarks are looked for where none are given; what is found
-            is written into the run, to be looked at and mended.
         mean: fit each splat to the mean shape of all, rather than to the next.
         device: of torch, where the flows are fitted.
         resume: go on with a fit that was interrupted in ``out``.
@@ -276,7 +254,7 @@ def fit_run(
         SplatmorphError: an input or its landmarks can't be read, the fit fails, or the run can't
             be written.
     """
-    request = Request.of(paths, fitting, posing, finding, mean=mean, on_warning=on_warning)
+    request = Request.of(paths, fitting, posing, mean=mean, on_warning=on_warning)
     return request.fit(
         out,
         device=device,
@@ -312,13 +290,18 @@ def claim_run(folder: Path, *, resume: bool, overwrite: bool) -> None:
         )
 
 
-def _legs_to_mean(inputs: Sequence[Input], posing: Posing) -> tuple[LegRequest, ...]:
+def _legs(inputs: Sequence[Input], posing: Posing, mean: bool) -> list[LegRequest]:
     points = [landmarks_of(one) for one in inputs]
-    middle = mean_landmarks(points)
-    return tuple(
-        LegRequest.of(posing.thinned((marks, middle)), [one])
-        for marks, one in zip(points, inputs, strict=True)
-    )
+    if mean:
+        middle = mean_landmarks(points)
+        return [
+            LegRequest.of(posing.thinned((marks, middle)), [one])
+            for marks, one in zip(points, inputs, strict=True)
+        ]
+    return [
+        LegRequest.of(posing.thinned(pair), moved)
+        for pair, moved in zip(itertools.pairwise(points), itertools.pairwise(inputs), strict=True)
+    ]
 
 
 def _log_warning(message: str) -> None:

@@ -27,6 +27,7 @@ from splatmorph.errors import OptionError, ReadError, RunError
 from splatmorph.fitting import FitReport
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
 from splatmorph.io.reading import read_json, reading
 from splatmorph.landmarks import Landmarks
@@ -35,7 +36,7 @@ from splatmorph.morph.chain import Chain, average
 from splatmorph.runs.inputs import Input, fingerprint, load_splat
 from splatmorph.runs.state import drop_states, has_state
 
-FORMAT = 1
+FORMAT = 2
 SIDES = ("source", "target")
 MOST_STEPS = 10_000
 """Integers of a flow's options that are no sizes are below this."""
@@ -59,12 +60,20 @@ class Leg:
     """One fitted flow of a run, from one input's landmarks to another's."""
 
     flow: Flow
+    """Fitted in the source's place."""
+    frame: Similarity
+    """Where the target stands, seen from the source."""
     source_points: Tensor
     """(m, dim) float64, world units."""
     target_points: Tensor
     names: tuple[str, ...]
     report: Mapping[str, Any]
     """What ``FitReport.to_dict`` gave."""
+
+    @property
+    def aligned_points(self) -> Tensor:
+        """(m, dim) the target's landmarks in the source's place, where the flow meets them."""
+        return self.frame.inverse()(self.target_points)
 
 
 @dataclass(frozen=True)
@@ -106,7 +115,7 @@ class Run:
             raise OptionError("the run is an average of its splats (`mean`), which has no t")
         splats = [one.gaussians for one in inputs or self.load_inputs()]
         morphs = [
-            Morph(source, target, leg.flow, landmarks=leg.source_points, **options)
+            Morph(source, target, leg.flow, frame=leg.frame, landmarks=leg.source_points, **options)
             for source, target, leg in zip(splats, splats[1:], self.legs, strict=False)
         ]
         return morphs[0] if len(morphs) == 1 else Chain(morphs)
@@ -125,8 +134,9 @@ class Run:
         if timed := sorted(options.keys() - {"ramp", "covariance", "blend"}):
             raise OptionError(f"the run is an average, which has no t: leave out `{timed[0]}`")
         splats = [one.gaussians for one in inputs or self.load_inputs()]
+        flows, frames = [leg.flow for leg in self.legs], [leg.frame for leg in self.legs]
         landmarks = self.legs[0].source_points
-        return average(splats, [leg.flow for leg in self.legs], landmarks=landmarks, **options)
+        return average(splats, flows, frames=frames, landmarks=landmarks, **options)
 
 
 def remember(loaded: Input) -> Source:
@@ -171,6 +181,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         "legs": [
             {
                 "flow": leg.flow.config(),
+                "frame": leg.frame.to_dict(),
                 "names": list(leg.names),
                 "source_points": leg.source_points.tolist(),
                 "target_points": leg.target_points.tolist(),
@@ -246,15 +257,16 @@ def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg
     except OptionError as error:
         raise ValueError(error) from error
     flow.load_state_dict(own)
+    frame = Similarity.from_dict(stored["frame"])
     names = tuple(str(name) for name in stored["names"])
     points = [
         Landmarks(torch.tensor(stored[f"{side}_points"], dtype=torch.float64), names)
         for side in SIDES
     ]
-    if any(side.dim != flow.dim for side in points):
+    if frame.dim != flow.dim or any(side.dim != flow.dim for side in points):
         raise ValueError(f"landmarks of {points[0].dim} dimensions and a flow of {flow.dim}")
     _check_report(report)
-    return Leg(flow, points[0].points, points[1].points, names, report)
+    return Leg(flow, frame, points[0].points, points[1].points, names, report)
 
 
 def _check_sizes(config: Mapping[str, Any], weights: Mapping[str, Tensor]) -> None:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.samples.implicit import Array, length
 
 METRES = 1e-3
-SH0 = 0.28209479177387814
 SH1 = 0.4886025119029199
 
 

@@ -9,15 +9,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from renderer import Camera, orbit
+from renderer import Camera
 from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.ramps import RAMPS
-from splatmorph.rendering import Colour, render
+from splatmorph.rendering import Colour, orbit, render
 from splatmorph.view.subject import Subject, thin
 
-SH0 = 0.28209479177387814
 FRAME = 1 / 24
 """Seconds a playing morph stands still."""
 ROUND_TRIP = 6.0

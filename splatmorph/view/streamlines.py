@@ -20,13 +20,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from renderer import Camera, rasterize, to_bytes
+from renderer import Camera, to_bytes
 from splatmorph.errors import MissingExtraError, OptionError, WriteError
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.atomic import atomic_write
-from splatmorph.rendering import renderer_arrays
+from splatmorph.rendering import rasterize, renderer_arrays
 from splatmorph.view.subject import Subject, thin
 
-SH0 = 0.28209479177387814
 STEPS = 48
 """Points of a streamline over the whole morph."""
 CLOUD = 9000
@@ -247,7 +247,7 @@ def _choose_window(visible: bool) -> None:
     if sys.platform != "linux" or display:
         return
     if visible:
-        raise WriteError("no display to open a window on: give -o x.png to draw without one")
+        raise WriteError("no display to open a window on: write a picture to draw without one")
     for library, window in (("EGL", "vtkEGLRenderWindow"), ("OSMesa", "vtkOSOpenGLRenderWindow")):
         if find_library(library):
             os.environ.setdefault("VTK_DEFAULT_OPENGL_WINDOW", window)

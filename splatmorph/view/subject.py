@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +12,11 @@ from torch import Tensor
 
 from renderer import Bounds
 from splatmorph.errors import OptionError
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
 from splatmorph.rendering import bounds
 from splatmorph.runs.run import open_run
-
-VISIBLE = 1 / 255
-"""Opacity below which no rasterizer draws a splat."""
 
 NO_POINTS = torch.empty(0, 3, dtype=torch.float64)
 
@@ -49,6 +47,8 @@ class Subject:
 def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[str, Any]]:
     """The subject of a run directory, and the report of its fit; ``options`` are ``Morph``'s.
 
+    The target is shown in the source's place.
+
     Raises:
         RunError: the directory is no run, or its inputs have moved or changed.
         OptionError: an unknown ramp or covariance, or a run of more than two splats.
@@ -57,14 +57,14 @@ def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[s
     if len(run.inputs) != 2:
         raise OptionError(f"{folder} morphs {len(run.inputs)} splats, expected a run of two")
     (source, target), leg = run.load_inputs(), run.legs[0]
-    landmarks = leg.source_points
-    morph = Morph(source.gaussians, target.gaussians, leg.flow, landmarks=landmarks, **options)
+    options |= {"frame": leg.frame, "landmarks": leg.source_points}
+    morph = Morph(source.gaussians, target.gaussians, leg.flow, **options)
     subject = Subject(
-        morph,
+        replace(morph, target=morph.aligned, frame=Similarity.identity()),
         source.name,
         target.name,
         leg.source_points,
-        leg.target_points,
+        leg.aligned_points,
         leg.names,
     )
     return subject, leg.report
@@ -78,7 +78,7 @@ def footprints(gaussians: Gaussians) -> Tensor:
 
 def thin(gaussians: Gaussians, most: int) -> Tensor:
     """Indices, ascending, of at most ``most`` splats: the visible ones that cover most."""
-    visible = (gaussians.opacities >= VISIBLE).nonzero().flatten()
+    visible = (gaussians.opacities >= FAINTEST_DRAWN).nonzero().flatten()
     if len(visible) <= most:
         return visible
     order = footprints(gaussians)[visible].argsort(descending=True, stable=True)

@@ -91,7 +91,7 @@ def test_what_is_no_avatar(tmp_path: Path, anna: Path) -> None:
 
 
 def test_a_local_file_is_no_plain_splat(anna: Path) -> None:
-    with pytest.raises(LocalFrameError, match="splatmorph bake"):
+    with pytest.raises(LocalFrameError, match="bake it first"):
         io.read(_inner(anna) / "point_cloud.ply")
 
 
@@ -382,7 +382,7 @@ def test_a_mesh_with_teeth_may_lack_their_faces(tmp_path: Path, flame: Flame) ->
 
 def test_faces_may_come_from_flame(tmp_path: Path, flame_folder: Path) -> None:
     folder = _mesh_avatar(tmp_path / "a", faces=None)
-    with pytest.raises(ReadError, match=r"vertices but no faces.*--flame"):
+    with pytest.raises(ReadError, match=r"vertices but no faces.*`flame`"):
         load_avatar(folder)
     found = load_avatar(folder, flame=flame_folder)
     np.testing.assert_array_equal(found.rig.faces, synthetic_flame.model()["f"])

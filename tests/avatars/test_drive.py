@@ -127,7 +127,7 @@ def test_what_cannot_be_driven(
 ) -> None:
     flow = Rigid(torch.zeros(3))
     moving = load_avatar(ben, frame=1, flame=flame_folder)
-    with pytest.raises(OptionError, match=r"ben .*\(frame 1 of its track\).*without --frame"):
+    with pytest.raises(OptionError, match=r"ben .*\(frame 1 of its track\).*without `frame`"):
         Drive(heads[0], moving, flow, track)
     drive = Drive(*heads, flow, track)
     with pytest.raises(OptionError, match="frames 0 to 3, not 4"):

@@ -13,7 +13,7 @@ from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
 from splatmorph.images import FlowWarp, ImageMorph, Picture
 from splatmorph.images.correspond import dense_motion, follow_motion, match_features
-from splatmorph.metrics import psnr
+from splatmorph.images.quality import psnr
 
 
 def textured(size: int = 256, seed: int = 0) -> Picture:

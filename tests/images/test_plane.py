@@ -11,7 +11,7 @@ from renderer import Camera, rasterize
 from splatmorph.gaussians import Gaussians
 from splatmorph.images import FlowWarp, ImageMorph
 from splatmorph.images.plane import PlaneFlow, as_splats
-from splatmorph.metrics import psnr
+from splatmorph.images.quality import psnr
 from splatmorph.morph import Morph
 
 SIZE = 128

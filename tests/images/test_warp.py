@@ -13,6 +13,7 @@ from scenes import Turn, fitted, painted, ruled
 
 from splatmorph.errors import OptionError
 from splatmorph.flows import Flow, make_flow
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.images import Canvas, FlowWarp, ImageMorph, Picture, warp
 from splatmorph.images.lattice import Lattice
 
@@ -168,3 +169,20 @@ def test_unknown_words_are_refused() -> None:
     for option in ({"edge": "wrap"}, {"interpolation": "nearest"}):
         with pytest.raises(OptionError, match="is unknown"):
             ImageMorph(painted(), painted(), FlowWarp(Turn(0.1)), **option).at(0.5)
+
+
+def test_a_frame_is_played_from_one_picture_to_the_other() -> None:
+    frame = Similarity(torch.tensor([[0.0, -1.0], [1.0, 0.0]]), 2.0, torch.tensor([0.3, -0.1]))
+    apart = FlowWarp(Turn(0.2), frame)
+    canvas, x = Canvas(48, 32), torch.tensor([[0.1, 0.2], [-0.3, 0.1]])
+    centers = canvas.centers().reshape(-1, 2)
+    for t, (source, target) in zip((0.0, 0.4, 1.0), apart.maps(canvas, [0, 0.4, 1]), strict=True):
+        start = frame.power(t).inverse()(centers)
+        exact = Turn(0.2)(start, -t), frame(Turn(0.2)(start, 1 - t))
+        for found, expected in zip((source, target), exact, strict=True):
+            read = found.band(0, canvas.height).reshape(-1, 2)
+            assert float((read - expected).norm(dim=1).max()) < 0.1 * canvas.pixel
+    torch.testing.assert_close(apart.carry(x, 1.0), frame(Turn(0.2)(x, 1.0)))
+    source, target = painted(), painted(seed=1)
+    morph = ImageMorph(source, target, apart)
+    assert np.array_equal(morph.at(1).eight_bit(), target.eight_bit())

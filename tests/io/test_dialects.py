@@ -16,8 +16,9 @@ from refusals import refused
 
 from splatmorph import io
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.dialects import FLATNESS, STRANGE_FILES
-from splatmorph.io.packed import FAINTEST, SH0
+from splatmorph.io.packed import FAINTEST
 
 MakeGaussians = Callable[..., Gaussians]
 Columns = dict[str, np.ndarray]

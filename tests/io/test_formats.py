@@ -19,7 +19,7 @@ from refusals import refused
 from splatmorph import io
 from splatmorph.errors import WriteError
 from splatmorph.gaussians import Gaussians
-from splatmorph.io.packed import SH0
+from splatmorph.geometry.harmonics import SH0
 
 MakeGaussians = Callable[..., Gaussians]
 

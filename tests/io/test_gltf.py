@@ -19,9 +19,10 @@ from refusals import refused
 
 from splatmorph import io
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import from_matrices, to_matrices
 from splatmorph.io.axes import upright
-from splatmorph.io.packed import FAINTEST, SH0
+from splatmorph.io.packed import FAINTEST
 
 MakeGaussians = Callable[..., Gaussians]
 SPLATS = "KHR_gaussian_splatting"

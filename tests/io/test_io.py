@@ -263,7 +263,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     def full(*_: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("splatmorph.io.elements._put", full)
+    monkeypatch.setattr(PlyData, "write", full)
     with pytest.raises(WriteError, match="disk is full"):
         io.write(path, make_gaussians(9))
     assert path.read_bytes() == before

@@ -12,13 +12,12 @@ from morph_cases import affine_flow, same_bits
 from renderer import orbit, rasterize
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.metrics import psnr
+from splatmorph.geometry.harmonics import SH0
+from splatmorph.images.quality import psnr
 from splatmorph.morph import Chain, Morph, average
 from splatmorph.morph.agreement import fade, melt
 from splatmorph.morph.agreement.neighbours import Neighbours
 from splatmorph.rendering import bounds, renderer_arrays
-
-SH0 = 0.28209479177387814
 
 
 def ball(

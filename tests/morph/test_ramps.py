@@ -14,8 +14,8 @@ from morph_cases import random_gaussians
 
 from renderer import bounds_of, orbit, rasterize
 from splatmorph import io
-from splatmorph.gaussians import Gaussians
-from splatmorph.morph.ramps import EASES, FAINTEST, RAMPS, Ease, Ramp, calibrated, scaled_logits
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
+from splatmorph.morph.ramps import EASES, RAMPS, Ease, Ramp, calibrated, scaled_logits
 
 WEIGHTS = [*np.linspace(0, 1, 41)[1:-1].tolist()]
 
@@ -79,7 +79,7 @@ def test_two_calibrated_copies_let_through_what_the_splat_does(weight: float) ->
     def profile(gaussians: Gaussians) -> torch.Tensor:
         width = (gaussians.log_scales - some.log_scales)[:, 0].exp()
         drawn = gaussians.opacities * torch.exp(-0.5 * squared / width**2)
-        return torch.where(drawn < FAINTEST, 0, drawn)
+        return torch.where(drawn < FAINTEST_DRAWN, 0, drawn)
 
     alone = profile(some)
     both = 1 - (1 - profile(calibrated(some, weight))) * (1 - profile(calibrated(some, 1 - weight)))

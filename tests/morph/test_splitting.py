@@ -14,7 +14,7 @@ from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits
 from renderer import orbit, rasterize
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.metrics import psnr
+from splatmorph.images.quality import psnr
 from splatmorph.morph import Morph
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.morph.splitting import SHARE, split, split_stretched

@@ -16,6 +16,7 @@ from splatmorph.errors import RunError
 from splatmorph.fitting import FitState, fit
 from splatmorph.flows import make_flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.inputs import load_input
 from splatmorph.runs.run import Leg, Run, load_run, open_run, remember, save_run
@@ -47,7 +48,7 @@ def fitted(
     flow = make_flow("node", dim=3)
     report = fit(flow, loaded[0].landmarks, loaded[1].landmarks)
     p, q, names = loaded[0].landmarks.match(loaded[1].landmarks)
-    leg = Leg(flow, p, q, names, report.to_dict())
+    leg = Leg(flow, Similarity.identity(), p, q, names, report.to_dict())
     run = Run(tuple(remember(one) for one in loaded), (leg,), {"seed": 0})
     save_run(folder / "a-b.run", run, [report])
     return folder / "a-b.run", run

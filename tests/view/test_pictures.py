@@ -18,6 +18,7 @@ from splatmorph.app import run as command
 from splatmorph.errors import MissingExtraError, OptionError, WriteError
 from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.io import write
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
@@ -193,7 +194,9 @@ def fitted(tmp_path_factory) -> Path:
         write(folder / f"{name}.ply", splats)
     inputs = tuple(remember(load_input(folder / f"{name}.ply")) for name in "ab")
     names = tuple(f"mark {i}" for i in range(12))
-    leg = Leg(flow, marks[0].points, marks[1].points, names, report.to_dict())
+    leg = Leg(
+        flow, Similarity.identity(), marks[0].points, marks[1].points, names, report.to_dict()
+    )
     return save_run(folder / "ab.run", Run(inputs, (leg,), {}), [report])
 
 

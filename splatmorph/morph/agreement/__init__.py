@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
-from splatmorph.geometry.harmonics import rotate_sh
+from splatmorph.geometry.harmonics import SH0, rotate_sh
 from splatmorph.morph.agreement import colour, fade, lead, melt
 from splatmorph.morph.agreement.neighbours import Neighbours
 from splatmorph.morph.agreement.views import views_of
@@ -113,7 +113,7 @@ class Meeting:
             for k, own in enumerate(mine)
         ]
         changed, trust = colour.change(part, self.views, mine, goals, near)
-        sh = changed[:, None] / colour.SH0
+        sh = changed[:, None] / SH0
         if part.sh_degree:
             others = [self.parts[j] for j in kept]
             bands = colour.view_dependence(part, others, shares, near)

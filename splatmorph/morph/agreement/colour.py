@@ -14,12 +14,10 @@ import torch
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.morph.agreement.neighbours import Neighbours
 from splatmorph.morph.agreement.views import Picture, View, blurred
 from splatmorph.rendering import renderer_arrays
-
-SH0 = 0.28209479177387814
-"""The constant spherical harmonic, √(1/4π)."""
 
 FAR = 0.06
 """Of the radius: surfaces further apart have nothing to do with each other."""

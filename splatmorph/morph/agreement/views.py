@@ -17,7 +17,8 @@ import torch
 from torch import Tensor
 from torch.nn.functional import avg_pool2d, interpolate
 
-from renderer import Bounds, Camera, gather, orbit, rasterize
+from renderer import Bounds, Camera
+from splatmorph.rendering import gather, orbit, rasterize
 
 Arrays = tuple[Any, Any, Any, Any, Any]
 """means, quats, scales, opacities and sh, as ``renderer`` takes them."""

@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 from splatmorph._version import __version__
 from splatmorph.errors import OptionError
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.view.page.pack import pack
-from splatmorph.view.subject import VISIBLE, Subject, thin
+from splatmorph.view.subject import Subject, thin
 
 MAX_SPLATS = 200_000
 """Default of the most splats a page carries: what a laptop sorts and draws at every frame."""
@@ -75,7 +75,7 @@ def write_page(
     if max_splats < 2:
         raise OptionError(f"max_splats is {max_splats}, expected at least 2")
     inputs = (subject.morph.source, subject.morph.target)
-    visible = [int((side.opacities >= VISIBLE).sum()) for side in inputs]
+    visible = [int((side.opacities >= FAINTEST_DRAWN).sum()) for side in inputs]
     keep = min(1.0, max_splats / max(1, sum(visible)))
     kept = [
         thin(side, max(1, int(keep * count))) for side, count in zip(inputs, visible, strict=True)

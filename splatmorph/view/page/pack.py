@@ -11,17 +11,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from renderer import orbit
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.harmonics import SH0
 from splatmorph.morph.agreement.fade import DENSEST_STACK
 from splatmorph.morph.covariance import polar_rotation
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.morph.transport import Drift
+from splatmorph.rendering import orbit
 from splatmorph.view.knots import FINEST, fewest_knots, knot_times, knot_weights
 from splatmorph.view.subject import Subject
 
-SH0 = 0.28209479177387814
-"""The constant spherical harmonic, √(1/4π)."""
 PICTURE_HEIGHT = 1080
 """Pixels of the picture in which the error of a move is counted."""
 TOLERANCE = 0.5
