@@ -17,6 +17,7 @@ from splatmorph.io.reading import reading
 from splatmorph.io.sog import META, read_sog, sog_layout, write_sog
 from splatmorph.io.splat import read_splat, write_splat
 from splatmorph.io.spz import read_spz, spz_layout, write_spz
+from splatmorph.io.usd import UPS, read_usd, usd_layout, write_usd
 
 
 @dataclass(frozen=True)
@@ -29,12 +30,17 @@ class Format:
     """In words, which of its layouts a file has."""
     loses: str = ""
     """What writing costs beside the positions; empty where reading gives back every bit."""
-    up: str | None = None
-    """The axis that the format has point up, to which writing turns a splat; None for any."""
+    ups: tuple[str, ...] = ()
+    """The axes that the format can have up, to the first of which writing turns what stands on
+    another; empty where it has no such notion."""
+    animated: bool = False
+    """Whether one file can hold a whole sequence."""
 
     def held(self, gaussians: Gaussians) -> Gaussians:
         """The splat as it stands in a file of this format."""
-        return gaussians if self.up is None else upright(gaussians, self.up)
+        if not self.ups or gaussians.up in self.ups:
+            return gaussians
+        return upright(gaussians, self.ups[0])
 
 
 ROUNDED = "rotations, scales, colours and opacities are rounded"
@@ -43,7 +49,15 @@ GLTF = Format(
     write_gltf,
     gltf_layout,
     "rotations, scales and opacities are rounded to floats",
-    up="y",
+    ups=("y",),
+)
+USD = Format(
+    read_usd,
+    write_usd,
+    usd_layout,
+    "rotations, scales and opacities are rounded to floats",
+    ups=tuple(UPS),
+    animated=True,
 )
 SOG = Format(read_sog, write_sog, sog_layout, ROUNDED)
 FORMATS = {
@@ -59,6 +73,10 @@ FORMATS = {
     ".gltf": GLTF,
     ".sog": SOG,
     META: SOG,
+    ".usd": USD,
+    ".usda": USD,
+    ".usdc": USD,
+    ".usdz": USD,
     ".spz": Format(read_spz, write_spz, spz_layout, ROUNDED),
 }
 """By extension."""

@@ -28,7 +28,7 @@ from splatmorph.geometry.similarity import Similarity
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.axes import upright
 from splatmorph.io.gltf_buffers import BINARY_CHUNK, GLB, JSON_CHUNK, Document, read_document
-from splatmorph.io.offsets import without_offset
+from splatmorph.io.offsets import about, without_offset
 from splatmorph.io.packed import FAINTEST, as_bytes, stored_arrays, unpacked
 from splatmorph.io.spz import unpack_spz
 
@@ -55,7 +55,7 @@ def read_gltf(path: str | Path) -> Gaussians:
     path = Path(path)
     document = read_document(path)
     parts = [
-        _placed(_splats_of(document, primitive), matrix, path)
+        placed(_splats_of(document, primitive), matrix, path)
         for primitive, matrix in _primitives(document)
     ]
     if not parts:
@@ -64,7 +64,7 @@ def read_gltf(path: str | Path) -> Gaussians:
         )
     whole = parts[0]
     for part in parts[1:]:
-        whole = Gaussians.union(whole, _about(part, whole.offset))
+        whole = Gaussians.union(whole, about(part, whole.offset))
     return replace(whole, up="y")
 
 
@@ -203,7 +203,7 @@ def _gamma(sh: torch.Tensor) -> torch.Tensor:
     return torch.cat([(shown - 0.5) / SH0, sh[:, 1:] * slope], dim=1).to(sh.dtype)
 
 
-def _placed(gaussians: Gaussians, matrix: Array, path: Path) -> Gaussians:
+def placed(gaussians: Gaussians, matrix: Array, path: Path) -> Gaussians:
     """The splats of a mesh in world space, x ↦ M x + t.
 
     Σ' = M Σ Mᵀ; its axes come from the singular values of M R S, which leaves splats that M only
@@ -236,12 +236,6 @@ def _stretched(gaussians: Gaussians, moved: Gaussians, linear: Array) -> Gaussia
         quats=from_matrices(axes).float(),
         log_scales=lengths.clamp(min=tiny).log().float(),
     )
-
-
-def _about(gaussians: Gaussians, offset: tuple[float, float, float]) -> Gaussians:
-    """The same splats with another offset taken off their centers."""
-    means = gaussians.absolute_means - torch.tensor(offset, dtype=torch.float64)
-    return replace(gaussians, means=means.float(), offset=offset)
 
 
 def _rotations(quats: Array) -> Array:

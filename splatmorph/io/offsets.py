@@ -7,9 +7,11 @@ apart. So an offset is taken off in double precision, kept with the splats, and 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from splatmorph.gaussians import Gaussians
@@ -43,6 +45,12 @@ def with_offset(gaussians: Gaussians) -> NDArray[Any]:
     exact = gaussians.absolute_means.detach().cpu().numpy()
     rounded = exact.astype(np.float32)
     return rounded if (rounded == exact).all() else exact
+
+
+def about(gaussians: Gaussians, offset: Offset) -> Gaussians:
+    """The same splats with another offset taken off their centers."""
+    means = gaussians.absolute_means - torch.tensor(offset, dtype=torch.float64)
+    return replace(gaussians, means=means.float(), offset=offset)
 
 
 def lost_detail(means: NDArray[Any], log_scales: NDArray[Any]) -> float | None:

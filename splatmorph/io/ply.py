@@ -126,6 +126,14 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     write_elements(path, {"vertex": _records(gaussians)}, header)
 
 
+def ply_size(gaussians: Gaussians) -> int:
+    """Bytes of the splats in a PLY file, its header apart."""
+    extras = sum(value.element_size() for value in gaussians.extras.values())
+    return len(gaussians) * (
+        4 * (len(REQUIRED) + len(NORMALS) + 3 * gaussians.sh.shape[1] - 3) + extras
+    )
+
+
 def _records(gaussians: Gaussians) -> NDArray[np.void]:
     per_channel = gaussians.sh.shape[1] - 1
     rest = [f"f_rest_{i}" for i in range(3 * per_channel)]

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import torch
+from torch import Tensor
 
 from splatmorph import io
 from splatmorph.errors import OutputExistsError, ReadError, WriteError
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import make_folder, remove_partials, write_json
+from splatmorph.io.axes import turn_between, upright
+from splatmorph.io.ply import ply_size
 from splatmorph.io.reading import read_json
+from splatmorph.io.usd import HIGHEST_DEGREE, STILL, Timeline, write_animation
+from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain
+from splatmorph.morph.ramps import EASES
 
 INDEX = "frames.json"
 PLAN = ".frames.unfinished.json"
@@ -43,6 +51,7 @@ def export_sequence(
     extension: str = ".ply",
     names: Sequence[str] = ("source", "target"),
     prune: bool = True,
+    up: str | None = None,
     overwrite: bool = False,
     asked: dict[str, Any] | None = None,
     on_frame: Callable[[int], None] | None = None,
@@ -56,6 +65,7 @@ def export_sequence(
         extension: of a format that ``splatmorph.io`` writes; only ``.ply`` keeps every bit.
         names: of the splats that it goes through, one at each whole t, for the headers.
         prune: leave out splats too faint to be drawn (alpha below 1/255), except at the inputs.
+        up: the axis to turn the splats to, from the one that they have up; None leaves them.
         overwrite: replace an earlier export in ``folder``.
         asked: what tells this export from another one, to resume only what is the same.
         on_frame: called with the number of frames done.
@@ -72,6 +82,7 @@ def export_sequence(
         "extension": extension,
         "names": list(names),
         "prune": prune,
+        "up": up,
         "asked": asked or {},
     }
     digits = max(4, len(str(len(times) - 1)))
@@ -81,7 +92,7 @@ def export_sequence(
     frames = morph.sequence([times[i] for i in left])
     written: dict[int, dict[str, float]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
-        written[i] = _write_frame(files[i], frame, times[i], names, prune)
+        written[i] = _write_frame(files[i], frame, times[i], names, prune, up)
         write_json(folder / PLAN, plan | {"done": done | written})
         if on_frame is not None:
             on_frame(len(done) + count + 1)
@@ -108,16 +119,75 @@ def export_one(
     *,
     names: Sequence[str] = ("source", "target"),
     prune: bool = True,
+    up: str | None = None,
 ) -> Exported:
     """Write the splat at one time to ``path``, whose extension says the format.
+
+    The other arguments are those of :func:`export_sequence`.
 
     Raises:
         OptionError, WriteError: see :func:`splatmorph.io.write`.
     """
     path = Path(path)
     (frame,) = morph.sequence([t])
-    row = _write_frame(path, frame, t, names, prune)
+    row = _write_frame(path, frame, t, names, prune, up)
     return Exported(path.parent, (path,), int(row["pruned"]), 0, row["moved"])
+
+
+def export_animation(
+    morph: Morph | Chain,
+    times: Sequence[float],
+    path: str | Path,
+    *,
+    timeline: Timeline = STILL,
+    names: Sequence[str] = ("source", "target"),
+    up: str | None = None,
+    on_frame: Callable[[int], None] | None = None,
+) -> int:
+    """Write the whole morph as one USD file that plays, and return the bytes of the same as PLYs.
+
+    Players interpolate between ``times`` where the splats keep their number (``stable_count``).
+
+    Raises:
+        MissingExtraError: usd-core is not installed.
+        WriteError: see :func:`splatmorph.io.write`.
+    """
+    plain = 0
+
+    def frames() -> Iterator[Gaussians]:
+        nonlocal plain
+        for done, frame in enumerate(morph.sequence(times), 1):
+            plain += ply_size(frame)
+            held = io.FORMATS[io.extension_of(path)].held(upright(frame, up) if up else frame)
+            yield held
+            if on_frame is not None:
+                on_frame(done)
+
+    splats = [one for leg in getattr(morph, "morphs", [morph]) for one in (leg.source, leg.target)]
+    degree = min(HIGHEST_DEGREE, max(one.sh_degree for one in splats))
+    comment = f"splatmorph t={times[0]:.9g}:{times[-1]:.9g} through {' '.join(names)}"
+    write_animation(
+        path, frames(), count=len(times), timeline=timeline, degree=degree, comments=[comment]
+    )
+    return plain
+
+
+def turned_landmarks(
+    morph: Morph, points: Tensor, names: Sequence[str], t: float, path: Path, up: str | None
+) -> Landmarks | None:
+    """Where a run's landmarks are in what :func:`export_one` writes; None where nothing turns.
+
+    points (k, 3), of the source in the place of its splats.
+    """
+    frame = morph.at(t)
+    turned = io.FORMATS[io.extension_of(path)].held(upright(frame, up) if up else frame)
+    if (frame.up or "y") == (turned.up or "y"):
+        return None
+    t = EASES[morph.ease](t)
+    moved = morph.flow.trajectory(points, [t])[0] if t else points
+    placed = moved if morph.stay else morph.frame.power(t)(moved)
+    absolute = placed.double() + torch.tensor(frame.offset, dtype=torch.float64)
+    return Landmarks(turn_between(frame.up or "y", turned.up or "y")(absolute), tuple(names))
 
 
 def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> float:
@@ -135,12 +205,13 @@ def write_measured(path: Path, gaussians: Gaussians, comments: Sequence[str] = (
 
 
 def _write_frame(
-    path: Path, frame: Gaussians, t: float, names: Sequence[str], prune: bool
+    path: Path, frame: Gaussians, t: float, names: Sequence[str], prune: bool, up: str | None
 ) -> dict[str, float]:
     """Write one frame; its row in the index, without file and time."""
     leg = min(max(math.floor(t), 0), len(names) - 2)
     between = 0 < t < len(names) - 1 and not float(t).is_integer()
     kept = _drawn(frame) if prune and between else frame
+    kept = upright(kept, up) if up else kept
     comment = f"splatmorph t={t:.9g} source={names[leg]} target={names[leg + 1]}"
     moved = write_measured(path, kept, [comment])
     return {"splats": len(kept), "pruned": len(frame) - len(kept), "moved": moved}

@@ -22,6 +22,8 @@ from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
 from splatmorph.io import elements
+from splatmorph.io.axes import turn_between, upright
+from splatmorph.io.usd import read_usd
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.run import open_run
 
@@ -129,6 +131,45 @@ def test_an_out_that_cannot_be_is_refused(
 ) -> None:
     failed(cli("export", fitted, *asked), *words)
     assert not Path(asked[1]).exists()
+
+
+def test_the_whole_morph_is_one_usd_file(fitted: Path, cli: Run) -> None:
+    pytest.importorskip("pxr", reason="usd-core is not installed")
+    out = cli("export", fitted, "-o", "morph.usdc", "--frames", 5, "--seconds", 2, "--fps", 24)[1]
+    assert "5 samples over 2 s" in out
+    assert "as 48 .ply files" in out
+    for t, end in ((0, "a.ply"), (48, "b.ply")):
+        frame = read_usd("morph.usdc", time=t)
+        assert len(frame) == 350
+        shown = frame.select(frame.opacities > 1e-4)
+        wanted = io.read(end)
+        assert set(map(tuple, shown.means.tolist())) <= set(map(tuple, wanted.means.tolist()))
+    failed(cli("export", fitted, "-o", "morph.usdc"), "already there")
+    assert "lossy" in cli("export", fitted, "-o", "half.usda", "--t", "0.5")[1]
+
+
+def test_axes_turn_splats_and_their_landmarks(fitted: Path, cli: Run) -> None:
+    plain = cli("export", fitted, "--t", "0", "-o", "plain.ply")[1]
+    assert "landmarks" not in plain
+    for axes, up in (("y-down", "-y"), ("z-up", "z")):
+        out = cli("export", fitted, "--t", "0", "--axes", axes, "-o", f"{axes}.ply")[1]
+        assert f"{axes}.landmarks.json, turned along" in out
+        turned = io.read(f"{axes}.ply")
+        assert turned.up == up
+        assert torch.equal(turned.means, upright(io.read("a.ply"), up).means)
+        marks, before = (Landmarks.read(f"{name}.landmarks.json") for name in (axes, "a"))
+        assert marks.names == before.names
+        assert torch.allclose(marks.points, turn_between("y", up)(before.points))
+    # What has y up by definition is turned without being asked, from what is known to stand else.
+    for end in "ab":
+        splats = io.read(f"{end}.ply")
+        io.write(f"{end}.ply", upright(splats, "-y"), [])
+        marks = Landmarks.read(f"{end}.landmarks.json")
+        Landmarks(turn_between("y", "-y")(marks.points), marks.names).write(f"{end}.landmarks.json")
+    assert cli("fit", "a.ply", "b.ply", "-o", "down.run")[0] == 0
+    assert "landmarks" in cli("export", "down.run", "--t", "0.5", "-o", "half.glb")[1]
+    assert cli("inspect", "half.glb")[0] == 0
+    assert "180°" in cli("export", "down.run", "--t", "0.5", "-o", "half.spz")[1]
 
 
 def test_exported_ends_are_the_inputs_bit_for_bit(fitted: Path, cli: Run) -> None:
