@@ -198,16 +198,20 @@ class _Attempt:
 
     def restore(self, state: FitState) -> None:
         try:
-            self.begin(int(state.meta["attempt"]))
-            self.step = int(state.meta["step"])
-            self.best_step = int(state.meta["best_step"])
+            attempt, step, best_step = (
+                int(state.meta[name]) for name in ("attempt", "step", "best_step")
+            )
+            if not (0 <= attempt < ATTEMPTS and 0 <= best_step <= step):
+                raise ValueError("steps that no training takes")
+            self.begin(attempt)
+            self.step, self.best_step = step, best_step
             self.best_mse = float(state.meta["best_mse"])
             self.best = _under("best.", state.tensors)
             self.objective.module.load_state_dict(_under("flow.", state.tensors))
             for i, parameter in enumerate(self.parameters):
                 self.optimizer.state[parameter] = _under(f"adam.{i}.", state.tensors)
             self.generator.set_state(state.tensors["generator"])
-        except (KeyError, ValueError, RuntimeError) as error:
+        except (LookupError, ValueError, TypeError, RuntimeError) as error:
             raise OptionError(
                 f"the state to resume from is of another flow or version ({error}): fit anew"
             ) from error
