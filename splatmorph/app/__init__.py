@@ -13,6 +13,7 @@ from cyclopts import App, CycloptsError, Parameter
 from renderer.errors import RenderError
 from splatmorph._version import __version__
 from splatmorph.app import console
+from splatmorph.app.ranges import RangeError, check_ranges
 from splatmorph.errors import SplatmorphError
 
 COMMANDS = {
@@ -55,9 +56,9 @@ def launch(
     """Morph one 3D Gaussian splat into another, by flows."""
     console.manner.quiet, console.manner.verbose = quiet, verbose
     console.listen()
-    code: int | None = app(
-        tokens, exit_on_error=False, print_error=True, result_action="return_value"
-    )
+    command, given, _ = app.parse_args(tokens, exit_on_error=False, print_error=True)
+    check_ranges(given.arguments)
+    code: int | None = command(*given.args, **given.kwargs)
     return code
 
 
@@ -76,6 +77,9 @@ def run(tokens: Sequence[str] | None = None) -> int:
         code = app.meta(tokens, exit_on_error=False, print_error=True, result_action="return_value")
         return code if isinstance(code, int) else 0
     except CycloptsError:
+        return USAGE
+    except RangeError as error:
+        console.fail(str(error))
         return USAGE
     except (SplatmorphError, RenderError) as error:
         return _failed(console.spoken(error))

@@ -20,6 +20,7 @@ from splatmorph.app.options import (
     RunPath,
     Times,
     TimesOption,
+    check_reach,
 )
 from splatmorph.errors import OptionError
 from splatmorph.io.axes import upright
@@ -233,8 +234,8 @@ def lossy(path: Path, moved: float) -> str:
 
 
 def _times(frames: int | None, t: Times | None, last: float, usual: int) -> list[float]:
-    if frames is not None and frames < 1:
-        raise OptionError(f"--frames is {frames}, expected at least 1")
+    if t is not None:
+        check_reach(t.values, last)
     if t is not None and not t.stretch:
         if frames not in (None, len(t.values)):
             raise OptionError(f"--frames {frames} and {len(t.values)} times in --t: give one")

@@ -35,6 +35,7 @@ from splatmorph.images.delaunay import DelaunayWarp
 from splatmorph.images.draw import contact_sheet, warped_grid
 from splatmorph.images.faces import detect_face
 from splatmorph.images.generative import DiffusersAutoencoder, LatentBlend
+from splatmorph.images.picture import MOST_PIXELS
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.standing import standing
 
@@ -113,6 +114,7 @@ def image(
         Path | None, Parameter(help="Write the warped grid with the landmarks there.")
     ] = None,
     seed: Seed = 0,
+    max_pixels: Annotated[int, Parameter(help="Most pixels of a picture.")] = MOST_PIXELS,
     json: Json = False,
     overwrite: Overwrite = False,
 ) -> int:
@@ -125,11 +127,9 @@ def image(
     for written in (path, sheet, grid):
         if written is not None:
             console.claim(written, overwrite)
-    if frames < 1 or fps <= 0 or pairing.anchors < 0:
-        raise OptionError("--frames must be at least 1, --fps above 0, --anchors 0 or more")
     count = 1 if path.suffix.lower() in STILLS else frames
     times = frame_times(t, count)
-    pictures = (Picture.read(source), Picture.read(target))
+    pictures = (Picture.read(source, max_pixels), Picture.read(target, max_pixels))
     canvas = Canvas(*size) if size else pictures[0].canvas
     blend = _blend(mixing)
     if mixing.blend == "generative":

@@ -10,6 +10,8 @@ from typing import Annotated, Any, NamedTuple
 
 from cyclopts import Parameter
 
+from splatmorph.errors import OptionError
+
 Splat = Annotated[Path, Parameter(help="A splat file or an avatar's directory.")]
 RunPath = Annotated[Path, Parameter(help="The run directory that `splatmorph fit` wrote.")]
 Out = Annotated[Path | None, Parameter(name=["--out", "-o"], help="Where to write.")]
@@ -21,6 +23,13 @@ Seed = Annotated[int, Parameter(name="--seed", help="Seed of everything random."
 Device = Annotated[
     str, Parameter(name="--device", help="auto, cpu or cuda:0; auto takes a GPU if there is one.")
 ]
+
+
+LONGEST_SIDE, MOST_PIXELS = 1 << 15, 1 << 26
+"""Of pictures that are made."""
+FARTHEST_TIME = 1000.0
+REACH = 1.0
+"""How far beyond its ends, in units of t, a flow may be followed: there nothing holds it."""
 
 
 class Size(NamedTuple):
@@ -42,10 +51,15 @@ def _text(tokens: Sequence[Any]) -> str:
 
 
 def _size(type_: Any, tokens: Sequence[Any]) -> Size:
-    found = re.fullmatch(r"(\d+)[xX×](\d+)", _text(tokens))
-    if not found or min(int(side) for side in found.groups()) < 1:
+    found = re.fullmatch(r"(\d{1,9})[xX×](\d{1,9})", _text(tokens))
+    size = Size(*map(int, found.groups())) if found else Size(0, 0)
+    if min(size) < 1:
         raise ValueError(f"{_text(tokens)!r} is no size; write WIDTHxHEIGHT, e.g. 512x512")
-    return Size(int(found[1]), int(found[2]))
+    if max(size) > LONGEST_SIDE or size.width * size.height > MOST_PIXELS:
+        raise ValueError(
+            f"{_text(tokens)} is too large; at most {LONGEST_SIDE} a side and {MOST_PIXELS} in all"
+        )
+    return size
 
 
 def _colour(type_: Any, tokens: Sequence[Any]) -> tuple[float, float, float] | None:
@@ -73,7 +87,7 @@ def _times(type_: Any, tokens: Sequence[Any]) -> Times:
     except ValueError:
         values = ()
     stretch = ":" in text
-    finite = all(abs(value) < 1e6 for value in values)
+    finite = all(abs(value) <= FARTHEST_TIME for value in values)
     if not values or not finite or (stretch and len(values) != 2):
         raise ValueError(f"{text!r} is no time; write 0.5, a list 0,0.5,1 or a stretch 0:1")
     return Times(values, stretch)
@@ -157,6 +171,20 @@ class Viewpoint:
 
 DEFAULT_BLENDING = Blending()
 DEFAULT_VIEWPOINT = Viewpoint()
+
+
+def check_reach(times: Sequence[float], last: float) -> None:
+    """Refuse times far beyond those that a flow was fitted for, 0 to ``last``.
+
+    Raises:
+        OptionError: names the first.
+    """
+    for t in times:
+        if not -REACH <= t <= last + REACH:
+            raise OptionError(
+                f"t is {t:g}, expected {-REACH:g} to {last + REACH:g}: a flow fitted from 0 to "
+                f"{last:g} may be followed {REACH:g} further, not beyond"
+            )
 
 
 def choose_device(device: str) -> str:

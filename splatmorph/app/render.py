@@ -22,6 +22,7 @@ from splatmorph.app.options import (
     Times,
     TimesOption,
     Viewpoint,
+    check_reach,
     choose_device,
 )
 from splatmorph.avatars import Drive, is_avatar, track_of
@@ -83,8 +84,6 @@ def render(
     ending = "-sheet.png" if sheet else ".mp4"
     path = console.claim(out or Path(f"{what.resolve().stem}{ending}"), overwrite)
     kind = path.suffix.lower()
-    if frames < 1 or fps <= 0:
-        raise OptionError(f"{frames} frames at {fps} a second: expected at least 1, above 0")
     if background is None and kind not in WITH_ALPHA:
         raise OptionError(f"{path.name} can't be transparent: write a .png or a folder of frames")
     if sheet:
@@ -152,6 +151,8 @@ def _sheet(
     run = open_run(what)
     inputs = run.load_inputs()
     last = len(inputs) - 1
+    if t is not None:
+        check_reach(t.values, last)
     if t is None or t.stretch:
         start, end = t.values if t else (0.0, float(last))
         times = [start + (end - start) * i / (SHEET_COLUMNS - 1) for i in range(SHEET_COLUMNS)]
@@ -199,6 +200,8 @@ def frame_times(t: Times | None, count: int, last: float = 1.0) -> list[float]:
     Raises:
         OptionError: a list whose length is not the number of frames.
     """
+    if t is not None:
+        check_reach(t.values, last)
     if t is None:
         return there_and_back(count, end=last) if count > 1 else [last / 2]
     if t.stretch:

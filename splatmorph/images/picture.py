@@ -119,14 +119,14 @@ class Picture:
         return np.repeat(pixels, 3, axis=2) if self.channels == 1 else pixels
 
     @staticmethod
-    def read(path: str | Path, most_pixels: int = MOST_PIXELS) -> Picture:
+    def read(path: str | Path, max_pixels: int = MOST_PIXELS) -> Picture:
         """Read a still picture of one of ``FORMATS``, 8 or 16 bit, turned upright by its EXIF.
 
         Colours of 16 bits a channel are read by OpenCV, since Pillow would cut them to 8.
 
         Raises:
             ReadError: the file is missing, no picture, damaged or animated.
-            TooLargeError: it has more than ``most_pixels`` pixels.
+            TooLargeError: it has more than ``max_pixels`` pixels.
             MissingExtraError: 16-bit colours without OpenCV.
         """
         path = Path(path)
@@ -134,9 +134,9 @@ class Picture:
         with reading(path, "picture"), _no_limit_of_pillow():
             try:
                 # From memory, where a length that lies finds no more than there is.
-                data = _bytes(path, most_pixels)
+                data = _bytes(path, max_pixels)
                 with Image.open(io.BytesIO(data), formats=FORMATS) as image:
-                    return Picture(_decode(image, data, path, most_pixels))
+                    return Picture(_decode(image, data, path, max_pixels))
             except UnidentifiedImageError as error:
                 raise ReadError(
                     f"{path} is no picture that we can read: give one of {', '.join(FORMATS)}"
@@ -155,22 +155,22 @@ def _no_limit_of_pillow() -> Iterator[None]:
         Image.MAX_IMAGE_PIXELS = limit
 
 
-def _bytes(path: Path, most_pixels: int) -> bytes:
+def _bytes(path: Path, max_pixels: int) -> bytes:
     size = path.stat().st_size
-    if size > MOST_BYTES * most_pixels:
+    if size > MOST_BYTES * max_pixels:
         raise TooLargeError(
-            f"{path} has {size:,} bytes, expected at most {MOST_BYTES * most_pixels:,}, which hold "
-            f"{most_pixels:,} pixels: reduce it first, or raise the limit"
+            f"{path} has {size:,} bytes, expected at most {MOST_BYTES * max_pixels:,}, which hold "
+            f"{max_pixels:,} pixels: reduce it first, or raise `max_pixels`"
         )
     return path.read_bytes()
 
 
-def _decode(image: Image.Image, data: bytes, path: Path, most_pixels: int) -> Pixels:
+def _decode(image: Image.Image, data: bytes, path: Path, max_pixels: int) -> Pixels:
     width, height = image.size
-    if width * height > most_pixels:
+    if width * height > max_pixels:
         raise TooLargeError(
-            f"{path} has {width}x{height} pixels, expected at most {most_pixels:,} in all: reduce "
-            "it first, or raise the limit"
+            f"{path} has {width}x{height} pixels, expected at most {max_pixels:,} in all: reduce "
+            "it first, or raise `max_pixels`"
         )
     # The second picture of an MPO, as cameras write it, is a preview.
     if getattr(image, "is_animated", False) and image.format != "MPO":

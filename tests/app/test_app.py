@@ -11,7 +11,6 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import pytest
@@ -304,7 +303,7 @@ def test_stretched_splats_are_split_where_asked(fitted: Path, cli: Run) -> None:
     first, middle, last = (len(io.read(file)) for file in sorted(Path("out").glob("*.ply")))
     assert first == middle == last > 350
     assert cli("render", fitted, "--split", 1.15, "--size", "32x32", "-o", "x.png")[0] == 0
-    failed(cli("render", fitted, "--split", 0.5, "-o", "y.png"), "split is 0.5", "above 1")
+    failed(cli("render", fitted, "--split", 0.5, "-o", "y.png"), "split is 0.5", code=2)
 
 
 # Outputs that are there ---------------------------------------------------------------------
@@ -387,15 +386,16 @@ def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
 def test_a_full_disk_leaves_whole_frames_that_the_next_export_keeps(
     fitted: Path, cli: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    genuine, calls = elements._put, []
+    genuine, calls = elements.PlyData.write, []
 
-    def full(stream: BinaryIO, records: elements.Records) -> None:
-        calls.append(records)
+    def full(self: elements.PlyData, stream: Path) -> None:
+        calls.append(stream)
         if len(calls) == 3:
+            stream.write_bytes(b"ply\nhalf")
             raise OSError(errno.ENOSPC, "No space left on device")
-        genuine(stream, records)
+        genuine(self, stream)
 
-    monkeypatch.setattr(elements, "_put", full)
+    monkeypatch.setattr(elements.PlyData, "write", full)
     failed(cli("export", fitted, "-o", "out"), "morph_0002.ply: the disk is full")
     assert sorted(file.name for file in Path("out").glob("*.ply")) == [
         "morph_0000.ply",
@@ -422,7 +422,7 @@ def test_data_errors_are_one_line(pair: tuple[Path, Path], cli: Run) -> None:
     failed(cli("render", "a-b.run"), "a-b.run does not exist")
     failed(cli("export", "."), "no complete run")
     failed(cli("fit", "a.ply", "b.ply", "--flow", "magic"), "magic")
-    failed(cli("render", "a.ply", "--frames", 0), "0 frames")
+    failed(cli("render", "a.ply", "--frames", 0), "--frames is 0", code=2)
     failed(cli("render", "a.ply", "--up", "w"), "up")
     failed(cli("render", "a.ply", "-o", "no/x.png"), "no")
     failed(cli("fit", "a.ply", "b.ply", "-o", "a.ply/x.run"), "can't make the folder")

@@ -91,7 +91,6 @@ def test_the_papers_pair_file_and_named_conventions(pair: Path) -> None:
         (["--blend", "mixed"], "choose linear, poisson or generative"),
         (["--warp", "magic"], "flow 'magic' is unknown"),
         (["--edge", "wrap"], "edge 'wrap' is unknown"),
-        (["--frames", "0"], "at least 1"),
         (["--source-landmarks", "a.landmarks.json", "--landmarks", "auto"], "both pictures"),
     ],
 )

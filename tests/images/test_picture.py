@@ -146,5 +146,5 @@ def test_large_pictures_are_read_and_huge_ones_refused(
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1_000)  # Pillow's limit is not ours
     assert Picture.read(tmp_path / "large.png").canvas == Canvas(100, 150)
     with pytest.raises(TooLargeError, match="100x150 pixels, expected at most 14,999"):
-        Picture.read(tmp_path / "large.png", most_pixels=14_999)
+        Picture.read(tmp_path / "large.png", max_pixels=14_999)
     assert Image.MAX_IMAGE_PIXELS == 1_000
