@@ -132,9 +132,12 @@ def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) 
 
 
 def extension_of(path: str | Path) -> str:
-    """The extension of a file, lower case: the longest that is a format's, else its last."""
+    """The extension of a file, lower case: the longest that is a format's, else its last.
+
+    A format may be known by a whole name, as an unbundled SOG is by its ``meta.json``.
+    """
     name = Path(path).name.lower()
-    ours = [extension for extension in FORMATS if name.endswith(extension)]
+    ours = [one for one in FORMATS if name == one or (one[0] == "." and name.endswith(one))]
     return max(ours, key=len, default=Path(name).suffix)
 
 

@@ -224,6 +224,8 @@ def test_names_and_extensions() -> None:
     assert (io.extension_of("b.c.ply"), io.stem_of("b.c.ply")) == (".ply", "b.c")
     assert (io.extension_of("b.obj"), io.stem_of("b.obj")) == (".obj", "b")
     assert (io.extension_of("b"), io.stem_of("b")) == ("", "b")
+    assert io.extension_of("x/meta.json") == "meta.json"
+    assert io.extension_of("x/ymeta.json") == ".json"
 
 
 # Bad input ----------------------------------------------------------------------------------

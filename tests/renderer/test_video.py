@@ -27,14 +27,15 @@ def decoded(path, height, width):
     return np.frombuffer(raw, np.uint8).reshape(-1, height, width, 3)
 
 
+@pytest.mark.parametrize("name", ["a.mp4", "a.mov", "a.mkv", "a.webm"])
 @pytest.mark.parametrize("size", [(24, 32), (25, 33), (1, 1)])
-def test_videos_read_back_with_even_sides(tmp_path, size):
-    path = write_video(tmp_path / "a.mp4", frames(6, *size), 20)
-    assert path == tmp_path / "a.mp4"
+def test_videos_read_back_with_even_sides(tmp_path, size, name):
+    path = write_video(tmp_path / name, frames(6, *size), 20)
+    assert path == tmp_path / name
     found = decoded(path, size[0] + size[0] % 2, size[1] + size[1] % 2)
     assert len(found) == 6
     assert abs(int(found[-1][0, 0, 0]) - 250) < 25
-    assert [file.name for file in tmp_path.iterdir()] == ["a.mp4"]
+    assert [file.name for file in tmp_path.iterdir()] == [name]
 
 
 def test_gifs_read_back(tmp_path):
