@@ -7,9 +7,12 @@ https://openusd.org/release/user_guides/schemas/usdVol/ParticleField3DGaussianSp
 
 from __future__ import annotations
 
+import io
 import math
+import subprocess
+import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +36,11 @@ PRIM, KIND = "/splats", "ParticleField3DGaussianSplat"
 HIGHEST_DEGREE = 3
 EXTENT_SIGMAS = 3.0
 ARCHIVE = ".usdz"
+MEMORY, MEMORY_GAIN = 3 << 30, 10
+"""Bytes of addresses that reading may take, and times the size of the file that it may besides."""
 NAMES = ("positions", "orientations", "scales", "opacities")
+LONGEST = 600
+"""Seconds that reading may take."""
 HARMONICS, DEGREE = "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
 
 
@@ -97,26 +104,15 @@ def read_usd(path: str | Path, *, time: float | None = None) -> Gaussians:
         ReadError: see :func:`splatmorph.io.read`; or a stage without splats.
     """
     path = Path(path)
-    stage = _opened(path)
-    from pxr import Usd, UsdGeom
-
-    when = Usd.TimeCode.EarliestTime() if time is None else Usd.TimeCode(time)
-    places = UsdGeom.XformCache(when)
-    parts = [
-        placed(
-            _splats_of(prim, when, path),
-            np.array(places.GetLocalToWorldTransform(prim), float).T,
-            path,
-        )
-        for prim in stage.Traverse()
-        if prim.GetTypeName() == KIND
-    ]
-    if not parts:
+    found = _moment(path, time)
+    count = sum(name.endswith("/matrix") for name in found)
+    if not count:
         raise ReadError(f"{path} holds no {KIND}, only other prims: convert it to Gaussians first")
+    parts = [placed(_splats_of(found, i, path), found[f"{i}/matrix"], path) for i in range(count)]
     whole = parts[0]
     for part in parts[1:]:
         whole = Gaussians.union(whole, about(part, whole.offset))
-    return replace(whole, up=str(UsdGeom.GetStageUpAxis(stage)).lower())
+    return replace(whole, up=str(found["up"]))
 
 
 def usd_layout(path: str | Path) -> str:
@@ -125,11 +121,10 @@ def usd_layout(path: str | Path) -> str:
     Raises:
         ReadError: see :func:`read_usd`.
     """
-    stage = _opened(Path(path))
-    if not stage.HasAuthoredTimeCodeRange() or stage.GetEndTimeCode() <= stage.GetStartTimeCode():
+    start, end, rate = _moment(Path(path), None)["range"].tolist()
+    if not end > start:
         return f"USD with {KIND}"
-    seconds = (stage.GetEndTimeCode() - stage.GetStartTimeCode()) / stage.GetTimeCodesPerSecond()
-    return f"USD with {KIND}, an animation of {seconds:g} s; its first moment is read"
+    return f"USD with {KIND}, an animation of {(end - start) / rate:g} s; its first moment is read"
 
 
 def write_usd(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> None:
@@ -192,40 +187,37 @@ def _require() -> None:
         raise MissingExtraError("usd-core", "usd", "USD") from error
 
 
-def _opened(path: Path) -> Any:
+def _moment(path: Path, time: float | None) -> dict[str, NDArray[Any]]:
+    """What ``usd_moment`` finds in a process of its own."""
     _require()
     require_file(path)
-    from pxr import Tf, Usd
-
-    try:
-        return Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
+    limit = MEMORY + MEMORY_GAIN * path.stat().st_size
+    program = Path(__file__).with_name("usd_moment.py")
+    moment = "" if time is None else str(time)
+    command = [sys.executable, str(program), str(path), moment, str(limit)]
+    ran = subprocess.run(command, capture_output=True, check=False, timeout=LONGEST)
+    if ran.returncode:
         raise ReadError(
             f"{path} is no whole USD file: it is truncated or another format; export it again"
-        ) from error
+        )
+    with np.load(io.BytesIO(ran.stdout), allow_pickle=False) as stored:
+        return dict(stored)
 
 
-def _splats_of(prim: Any, when: Any, path: Path) -> Gaussians:
-    def values(name: str, width: int) -> NDArray[Any]:
-        # Floats are to be preferred to halfs where a file has both.
-        for kind in ("", "h"):
-            found = prim.GetAttribute(name + kind).Get(when)
-            if found is not None:
-                return np.asarray(found, np.float32).reshape(-1, width)
-        raise ReadError(f"{path} has splats without {name} at {prim.GetPath()}")
-
-    means = values("positions", 3)
-    # As quaternions lie in memory, the real part is the last.
-    quats = np.roll(values("orientations", 4), 1, axis=1)
-    each = (prim.GetAttribute(DEGREE).Get() + 1) ** 2
-    sh = values(HARMONICS, 3)[: each * len(means)].reshape(-1, each, 3)
-    scales = values("scales", 3).astype(np.float64)
+def _splats_of(found: Mapping[str, NDArray[Any]], i: int, path: Path) -> Gaussians:
+    lacking = [name for name in (*NAMES, HARMONICS) if f"{i}/{name}" not in found]
+    if lacking:
+        raise ReadError(f"{path} has splats without {lacking[0]}: export it again")
+    means, quats, scales, opacities = (found[f"{i}/{name}"] for name in NAMES)
+    each = (int(found[f"{i}/{DEGREE}"]) + 1) ** 2
+    tiny = np.finfo(np.float32).tiny
     parts = {
         "means": means,
-        "quats": quats,
-        "log_scales": np.log(np.maximum(scales, np.finfo(np.float32).tiny)),
-        "opacities": values("opacities", 1)[:, 0],
-        "sh": sh,
+        # As quaternions lie in memory, the real part is the last.
+        "quats": np.roll(quats, 1, axis=1),
+        "log_scales": np.log(np.maximum(scales.astype(np.float64), tiny)),
+        "opacities": opacities[:, 0],
+        "sh": found[f"{i}/{HARMONICS}"][: each * len(means)].reshape(-1, each, 3),
     }
     if any(len(part) != len(means) for part in parts.values()):
         raise ValueError("its attributes differ in their number of splats")

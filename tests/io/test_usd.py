@@ -186,6 +186,19 @@ def test_files_that_are_no_splats(tmp_path: Path, make_gaussians: MakeGaussians)
     refused(tmp_path / "missing.usdc", "No such file")
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_damage_is_refused_whatever_usds_library_does(
+    tmp_path: Path, make_gaussians: MakeGaussians, seed: int
+) -> None:
+    io.write(tmp_path / "x.usdc", make_gaussians(20, 1))
+    damaged = bytearray((tmp_path / "x.usdc").read_bytes())
+    # The tables at the end say how much is where.
+    for i in np.random.default_rng(seed).integers(-700, -8, 30):
+        damaged[i] ^= 0xFF
+    (tmp_path / "x.usdc").write_bytes(damaged)
+    refused(tmp_path / "x.usdc", "no whole USD file")
+
+
 @pytest.mark.parametrize("attribute", ["scales", "opacities", HARMONICS])
 def test_splats_that_lack_something(
     tmp_path: Path, make_gaussians: MakeGaussians, attribute: str
