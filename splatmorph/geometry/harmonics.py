@@ -28,7 +28,7 @@ def harmonics(directions: Tensor, degree: int) -> Tensor:
     cosine, sine, sectoral = torch.ones_like(z), torch.zeros_like(z), 1.0
     band = [cosine] * (2 * degree + 1)
     for m in range(degree + 1):
-        below, legendre = torch.zeros_like(z), torch.full_like(z, sectoral * _norm(degree, m))
+        below, legendre = torch.zeros_like(z), torch.full_like(z, sectoral * norm(degree, m))
         for order in range(m, degree):
             above = (2 * order + 1) * z * legendre - (order + m) * below
             below, legendre = legendre, above / (order + 1 - m)
@@ -58,15 +58,15 @@ def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
 def _rotated(sh: Tensor, rotations: Tensor, degree: int) -> Tensor:
     bands = [sh[:, :1]]
     for order in range(1, degree + 1):
-        probes, inverse = (value.to(sh) for value in _probes(order))
-        values = harmonics(torch.einsum("jc,ncd->njd", probes, rotations), order)
+        directions, inverse = (value.to(sh) for value in probes(order))
+        values = harmonics(torch.einsum("jc,ncd->njd", directions, rotations), order)
         seen = values @ sh[:, order**2 : (order + 1) ** 2]
         bands.append(torch.einsum("mj,njc->nmc", inverse, seen))
     return torch.cat(bands, dim=1)
 
 
 @lru_cache
-def _probes(order: int) -> tuple[Tensor, Tensor]:
+def probes(order: int) -> tuple[Tensor, Tensor]:
     """2l + 1 directions (2l + 1, 3) for degree l, and the inverse of the harmonics there.
 
     Points of a spiral on a half sphere (opposite ones would tell the same). Its start and turn
@@ -76,10 +76,11 @@ def _probes(order: int) -> tuple[Tensor, Tensor]:
     step = torch.arange(count, dtype=torch.float64) + 0.4
     height, angle = 1 - step / count, 2.76 * step
     radius = (1 - height**2).sqrt()
-    probes = torch.stack([radius * angle.cos(), radius * angle.sin(), height], -1)
-    return probes, torch.linalg.inv(harmonics(probes, order))
+    directions = torch.stack([radius * angle.cos(), radius * angle.sin(), height], -1)
+    return directions, torch.linalg.inv(harmonics(directions, order))
 
 
-def _norm(order: int, m: int) -> float:
+def norm(order: int, m: int) -> float:
+    """K_lm, what makes the harmonic of degree l and order ±m one of unit norm on the sphere."""
     ratio = math.factorial(order - m) / math.factorial(order + m)
     return math.sqrt((2 if m else 1) * (2 * order + 1) / (4 * math.pi) * ratio)

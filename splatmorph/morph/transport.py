@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Any, Protocol
+from typing import Protocol
 
 import torch
 from torch import Tensor
@@ -17,6 +17,7 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes, polar_rotation
+from splatmorph.morph.native import moment as native
 from splatmorph.morph.native import shapes
 
 KNOTS = 8
@@ -53,14 +54,23 @@ def move_centers(
     gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None = None
 ) -> Frames:
     """The paper's transport: centers follow the flow, covariance and colour stay as they are."""
-    path = flow.trajectory(gaussians.means, times)
+    centers = _centers(gaussians, flow, times, drift)
     if drift is None:
-        return lambda k: replace(gaussians, means=path[k])
+        return lambda k: replace(gaussians, means=centers(k))
     return lambda k: replace(
         gaussians,
-        means=torch.add(path[k], drift.offset, alpha=abs(times[k])),
+        means=centers(k),
         sh=torch.add(gaussians.sh, drift.sh, alpha=abs(times[k])),
     )
+
+
+def _centers(
+    gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None
+) -> Callable[[int], Tensor]:
+    path = flow.trajectory(gaussians.means, times)
+    if drift is None:
+        return path.__getitem__
+    return lambda k: torch.add(path[k], drift.offset, alpha=abs(times[k]))
 
 
 @torch.no_grad()
@@ -77,7 +87,7 @@ def move_shapes(
     P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. The
     shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
-    moved = move_centers(gaussians, flow, times, drift)
+    centers = _centers(gaussians, flow, times, drift)
     reaches = {sign: max(sign * t for t in times) for sign in (1, -1)}
     paths = {
         sign: _shapes_along(gaussians, flow, sign, reach, stretch, drift)
@@ -86,15 +96,44 @@ def move_shapes(
     }
 
     def frame(k: int) -> Gaussians:
-        shape = _interpolated(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
-        turns = shape.pop("turns", None)
-        turned = replace(moved(k), **shape)
-        if turns is None:
-            return turned
-        rotations = to_matrices(turns)
-        return replace(turned, sh=rotate_sh(turned.sh, rotations))
+        near, weights = _about(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
+        own = None if drift is None else (drift.sh, abs(times[k]))
+        degree = gaussians.sh_degree
+        takes = native.takes(near, gaussians.sh, degree)
+        between = native.moment if takes else moment
+        shape: dict[str, Any] = {**between(near, weights, gaussians.sh, degree, own)}
+        return replace(gaussians, means=centers(k), **shape)
 
     return frame
+
+
+def moment(
+    paths: Mapping[str, Tensor],
+    weights: Tensor,
+    sh: Tensor,
+    degree: int,
+    drift: tuple[Tensor, float] | None,
+) -> dict[str, Tensor]:
+    """What splats are between knots; the plain twin of the C++ in ``native/moment.h``.
+
+    Arguments:
+        paths: by name what changes, (near, n, c) at the knots about the moment.
+        weights: (near,) of those.
+        sh, degree: the colours at the start, (n, (degree + 1)², 3).
+        drift: what the colours drift by, of the shape of ``sh``, and how much of it.
+
+    Returns:
+        what has changed, and ``sh``: turned by ``turns``, where they are among the paths.
+    """
+    shape = {
+        name: (weights.to(path) @ path.flatten(1)).unflatten(0, path.shape[1:])
+        for name, path in paths.items()
+    }
+    turns = shape.pop("turns", None)
+    shape["sh"] = sh if drift is None else torch.add(sh, drift[0], alpha=drift[1])
+    if turns is not None:
+        shape["sh"] = rotate_sh(shape["sh"], to_matrices(turns))
+    return shape
 
 
 def _shapes_along(
@@ -173,8 +212,11 @@ def jacobian_blocks(
         yield block, flow.trajectory_jacobian(points[block], times)[1]
 
 
-def _interpolated(paths: Mapping[str, Tensor], place: float) -> dict[str, Any]:
-    """Paths (knots, n, c) at ``place`` in knots, on cubics with the slopes of neighbours."""
+def _about(paths: Mapping[str, Tensor], place: float) -> tuple[dict[str, Tensor], Tensor]:
+    """The knots of paths (knots, n, c) about ``place`` in knots, at most four, and their weights.
+
+    What is between them lies on cubics with the slopes of neighbours.
+    """
     knots = len(next(iter(paths.values())))
     left = min(int(place), knots - 2)
     s = place - left
@@ -185,10 +227,7 @@ def _interpolated(paths: Mapping[str, Tensor], place: float) -> dict[str, Any]:
     bend = (1 - s) * (slopes[left] - rise) + s * (rise - slopes[left + 1])
     weights = units[left] + s * (rise + (1 - s) * bend)
     near = slice(max(left - 1, 0), left + 3)
-    return {
-        name: (weights[near].to(path) @ path[near].flatten(1)).unflatten(0, path.shape[1:])
-        for name, path in paths.items()
-    }
+    return {name: path[near] for name, path in paths.items()}, weights[near]
 
 
 COVARIANCES: Mapping[str, Transport] = MappingProxyType(

@@ -11,7 +11,8 @@ from renderer.cpp import FEWEST, plain_twins
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes
 from splatmorph.morph.native import shapes
-from splatmorph.morph.transport import COVARIANCES
+from splatmorph.morph.native.moment import moment as native_moment
+from splatmorph.morph.transport import COVARIANCES, moment
 
 COUNT = 1003
 MOMENTS = 8
@@ -128,3 +129,41 @@ def test_splats_travel_alike_natively_and_plainly(covariance: str) -> None:
             torch.testing.assert_close(
                 getattr(ours, name), getattr(theirs, name), atol=1e-5, rtol=1e-5
             )
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+@pytest.mark.parametrize("drifts", [False, True])
+def test_native_moments_are_the_plain_ones(degree: int, drifts: bool) -> None:
+    coefficients = (degree + 1) ** 2
+    knots = {"quats": 4, "log_scales": 3, "turns": 4}
+    paths = {
+        name: normal(4, COUNT, size, seed=size).float() + 2 * (torch.arange(size) == 0)
+        for name, size in knots.items()
+    }
+    weights = torch.tensor([-0.1, 0.7, 0.5, -0.1], dtype=torch.float64)
+    sh = normal(COUNT, coefficients, 3, seed=5).float()
+    drift = (normal(COUNT, coefficients, 3, seed=6).float(), 0.4) if drifts else None
+    for near in (4, 3):
+        given = {name: path[:near] for name, path in paths.items()}
+        ours, theirs = (
+            made(given, weights[:near], sh, degree, drift) for made in (native_moment, moment)
+        )
+        assert ours.keys() == theirs.keys()
+        for name, expected in theirs.items():
+            torch.testing.assert_close(ours[name], expected, atol=3e-5, rtol=1e-5)
+
+
+def test_native_moments_without_stretch_and_on_any_number_of_threads() -> None:
+    paths = {"quats": normal(4, COUNT, 4, seed=1).float(), "turns": torch.ones(4, COUNT, 4)}
+    weights, sh = torch.full((4,), 0.25), normal(COUNT, 16, 3, seed=5).float()
+    threads = torch.get_num_threads()
+    try:
+        answers = []
+        for count in (1, 2, 3):
+            torch.set_num_threads(count)
+            answers.append(native_moment(paths, weights, sh, 3, None))
+    finally:
+        torch.set_num_threads(threads)
+    assert answers[0].keys() == {"quats", "sh"}
+    for name, expected in answers[0].items():
+        assert all(torch.equal(answer[name], expected) for answer in answers[1:])

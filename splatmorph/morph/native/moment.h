@@ -1,0 +1,105 @@
+// Splats at one moment of their way, 16 at a time: what lies between the knots, and colours that
+// turn. The plain twin is `moment` in transport.py; the way colours turn is rotate_sh's, with the
+// PROBES of a band and the INVERSE of its harmonics there. Compiled once for each DEGREE.
+constexpr int LANES = 16, COEFFICIENTS = (DEGREE + 1) * (DEGREE + 1), NEAR = 4;
+typedef float Floats __attribute__((ext_vector_type(16)));
+
+struct Arguments {                      // the twin of moment.py's
+    const float *quats, *log_scales;    // near × count × 4 and × 3: the knots about the moment
+    const float* turns;                 // near × count × 4
+    const float *sh, *drift;            // count × COEFFICIENTS × 3, the latter or null
+    float *quats_out, *log_scales_out;  // log scales may be null, as above
+    float* sh_out;
+    long long count, near;
+    float weights[NEAR], way;  // of the knots, and of the drift
+};
+const Arguments& given = *(const Arguments*)arguments;
+const long count = given.count;
+const int near = (int)given.near;
+
+auto between = [&](const float* knots, int size, long first, long last, float* out) {
+#pragma clang fp contract(fast)
+    const long all = count * size;
+    for (long i = first * size; i < last * size; ++i) {
+        float sum = 0.f;
+        for (int k = 0; k < near; ++k) sum += given.weights[k] * knots[k * all + i];
+        out[i - first * size] = sum;
+    }
+};
+
+// Harmonics of one degree in the direction x, y, z, by the recurrence of harmonics().
+auto band = [&](int degree, Floats x, Floats y, Floats z, Floats* out) {
+#pragma clang fp contract(fast)
+    Floats cosine = (Floats)1.f, sine = (Floats)0.f;
+    float sectoral = 1.f;
+    for (int m = 0; m <= degree; ++m) {
+        Floats below = (Floats)0.f, legendre = (Floats)(sectoral * NORMS[degree * 5 + m]);
+        for (int order = m; order < degree; ++order) {
+            const Floats above = ((2.f * order + 1.f) * z * legendre - (float)(order + m) * below) *
+                                 (1.f / (order + 1 - m));
+            below = legendre;
+            legendre = above;
+        }
+        out[degree - m] = legendre * sine;
+        out[degree + m] = legendre * cosine;
+        const Floats kept = cosine;
+        cosine = x * cosine - y * sine;
+        sine = x * sine + y * kept;
+        sectoral *= -(2.f * m + 1.f);
+    }
+};
+
+const long end = count * (part + 1) / parts;
+for (long p = count * part / parts; p < end; p += LANES) {
+#pragma clang fp contract(fast)
+    const int lanes = end - p < LANES ? (int)(end - p) : LANES;
+    between(given.quats, 4, p, p + lanes, given.quats_out + p * 4);
+    if (given.log_scales) between(given.log_scales, 3, p, p + lanes, given.log_scales_out + p * 3);
+    float turn[LANES * 4];
+    for (int i = 0; i < LANES * 4; ++i) turn[i] = i % 4 == 0;
+    between(given.turns, 4, p, p + lanes, turn);
+    Floats q[4], squared = (Floats)0.f;
+    for (int i = 0; i < 4; ++i) {
+        for (int l = 0; l < LANES; ++l) q[i][l] = turn[l * 4 + i];
+        squared += q[i] * q[i];
+    }
+    const Floats two = 2.f / squared, w = q[0], x = q[1], y = q[2], z = q[3];
+    const Floats rotation[3][3] = {
+        {1.f - two * (y * y + z * z), two * (x * y - w * z), two * (x * z + w * y)},
+        {two * (x * y + w * z), 1.f - two * (x * x + z * z), two * (y * z - w * x)},
+        {two * (x * z - w * y), two * (y * z + w * x), 1.f - two * (x * x + y * y)}};
+
+    Floats colour[COEFFICIENTS * 3];
+    for (int l = 0; l < LANES; ++l) {
+        const long row = (p + (l < lanes ? l : 0)) * COEFFICIENTS * 3;
+        for (int k = 0; k < COEFFICIENTS * 3; ++k)
+            colour[k][l] = given.sh[row + k] + (given.drift ? given.way * given.drift[row + k] : 0);
+    }
+    const float *probe = PROBES, *inverse = INVERSE;
+    for (int degree = 1; degree <= DEGREE; ++degree) {
+        const int size = 2 * degree + 1;
+        Floats* const own = colour + degree * degree * 3;
+        Floats seen[(2 * DEGREE + 1) * 3], values[2 * DEGREE + 1];
+        for (int j = 0; j < size; ++j, probe += 3) {
+            Floats to[3];
+            for (int i = 0; i < 3; ++i)
+                to[i] = probe[0] * rotation[0][i] + probe[1] * rotation[1][i] +
+                        probe[2] * rotation[2][i];
+            band(degree, to[0], to[1], to[2], values);
+            for (int c = 0; c < 3; ++c) {
+                Floats sum = (Floats)0.f;
+                for (int m = 0; m < size; ++m) sum += values[m] * own[m * 3 + c];
+                seen[j * 3 + c] = sum;
+            }
+        }
+        for (int m = 0; m < size; ++m, inverse += size)
+            for (int c = 0; c < 3; ++c) {
+                Floats sum = (Floats)0.f;
+                for (int j = 0; j < size; ++j) sum += inverse[j] * seen[j * 3 + c];
+                own[m * 3 + c] = sum;
+            }
+    }
+    for (int l = 0; l < lanes; ++l)
+        for (int k = 0; k < COEFFICIENTS * 3; ++k)
+            given.sh_out[(p + l) * COEFFICIENTS * 3 + k] = colour[k][l];
+}

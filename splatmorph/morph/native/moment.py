@@ -1,0 +1,85 @@
+"""``moment.h``, compiled once for each degree of the harmonics."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from renderer.cpp import Program
+from splatmorph.geometry.harmonics import norm, probes
+
+NEAR = 4
+"""Knots that a moment lies among, at most."""
+MOST_DEGREE = 4
+
+
+class _Arguments(ctypes.Structure):
+    """The twin of the one in ``moment.h``."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("quats", "log_scales", "turns", "sh", "drift")),
+        *((name, ctypes.c_void_p) for name in ("quats_out", "log_scales_out", "sh_out")),
+        *((name, ctypes.c_int64) for name in ("count", "near")),
+        ("weights", ctypes.c_float * NEAR),
+        ("way", ctypes.c_float),
+    )
+
+
+@cache
+def _program(degree: int) -> Program:
+    bands = [probes(order) for order in range(1, degree + 1)]
+    directions = torch.cat([direction.flatten() for direction, _ in bands])
+    inverses = torch.cat([inverse.flatten() for _, inverse in bands])
+    norms = [norm(order, m) if m <= order else 0.0 for order in range(degree + 1) for m in range(5)]
+    constants = f"constexpr int DEGREE = {degree};\n"
+    constants += _array("PROBES", directions.tolist())
+    constants += _array("INVERSE", inverses.tolist())
+    constants += _array("NORMS", norms)
+    return Program(Path(__file__).parent, ("moment.h",), _Arguments, constants=constants)
+
+
+def _array(name: str, values: Iterable[float]) -> str:
+    return f"constexpr float {name}[] = {{{', '.join(f'{value:.9e}f' for value in values)}}};\n"
+
+
+def takes(paths: Mapping[str, Tensor], sh: Tensor, degree: int) -> bool:
+    """Whether the moment is for ``moment``: its colours turn, and all of it is of one dtype."""
+    return (
+        0 < degree <= MOST_DEGREE
+        and "turns" in paths
+        and all(path.dtype == sh.dtype for path in paths.values())
+        and _program(degree).takes(sh, *paths.values())
+    )
+
+
+def moment(
+    paths: Mapping[str, Tensor],
+    weights: Tensor,
+    sh: Tensor,
+    degree: int,
+    drift: tuple[Tensor, float] | None,
+) -> dict[str, Tensor]:
+    """As its plain twin, on all of torch's threads; for what ``takes`` takes."""
+    near, count = paths["quats"].shape[:2]
+    inputs = {name: path.contiguous() for name, path in paths.items()}
+    inputs["sh"] = sh.contiguous()
+    if drift is not None:
+        inputs["drift"] = drift[0].to(sh).contiguous()
+    outputs = {name: path.new_empty(path.shape[1:]) for name, path in paths.items()}
+    outputs["sh"] = torch.empty_like(inputs["sh"])
+    del outputs["turns"]
+    arguments = _Arguments(
+        **{name: tensor.data_ptr() for name, tensor in inputs.items()},
+        **{f"{name}_out": tensor.data_ptr() for name, tensor in outputs.items()},
+        count=count,
+        near=near,
+        weights=tuple(weights.tolist()),
+        way=0.0 if drift is None else drift[1],
+    )
+    _program(degree).run(arguments, torch.get_num_threads())
+    return outputs
