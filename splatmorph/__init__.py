@@ -23,12 +23,23 @@ if TYPE_CHECKING:
     from splatmorph.landmarks import Landmarks
     from splatmorph.metrics import evaluate
     from splatmorph.morph import Chain, Morph
+    from splatmorph.registration import correspond
     from splatmorph.rendering import render
-    from splatmorph.runs import Fitting, Posing, Run, fit_run, load_input, load_run, open_run
+    from splatmorph.runs import (
+        Finding,
+        Fitting,
+        Posing,
+        Run,
+        fit_run,
+        load_input,
+        load_run,
+        open_run,
+    )
 
 # Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
 _HOMES = {
     "Chain": "morph",
+    "Finding": "runs",
     "FitConfig": "fitting",
     "FitReport": "fitting",
     "Fitting": "runs",
@@ -38,6 +49,7 @@ _HOMES = {
     "Morph": "morph",
     "Posing": "runs",
     "Run": "runs",
+    "correspond": "registration",
     "evaluate": "metrics",
     "fit": "fitting",
     "fit_run": "runs",

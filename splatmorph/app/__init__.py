@@ -19,6 +19,7 @@ from splatmorph.errors import SplatmorphError
 COMMANDS = {
     "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
     "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
+    "landmarks": "Find landmarks on two splats: faces, and surfaces for the rest.",
     "render": "Render a run as a video or pictures; or any splat.",
     "export": "Write the splats between as files, one a time.",
     "eval": "Measure a run: landmark errors, flow laws, folding, energies.",

@@ -15,11 +15,12 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.fit import FittingOptions, PosingOptions
-from splatmorph.app.options import Device, Json, Out, Overwrite, choose_device
+from splatmorph.app.options import Auto, Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write, make_folder
 from splatmorph.io.reading import read_text, reading
+from splatmorph.runs.finding import Finding
 from splatmorph.runs.posing import Posing
 from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
 from splatmorph.runs.run import MANIFEST, open_run
@@ -93,6 +94,7 @@ def batch(
     out: Out = None,
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
+    auto: Auto = True,
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
@@ -103,7 +105,7 @@ def batch(
     stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
     where none failed but many landmarks of a pair are missed by far.
     """
-    rows = read_rows(pairs)
+    rows, finding = read_rows(pairs), Finding(auto)
     folder = make_folder(out or Path(f"{pairs.stem}-runs"))
     results: list[Result] = []
     try:
@@ -111,7 +113,7 @@ def batch(
             console.note(f"{number}/{len(rows)} {row.name}")
             run = folder / f"{row.name}.run"
             try:
-                results.append(_fit_row(row, run, fitting, posing, device, overwrite))
+                results.append(_fit_row(row, run, fitting, posing, finding, device, overwrite))
             except SplatmorphError as error:
                 console.fail(f"{row.name}: {error}")
                 results.append(Result(row.name, "failed", message=console.spoken(error)))
@@ -180,13 +182,20 @@ def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
 
 
 def _fit_row(
-    row: Row, run: Path, fitting: Fitting, posing: Posing, device: str, overwrite: bool
+    row: Row,
+    run: Path,
+    fitting: Fitting,
+    posing: Posing,
+    finding: Finding,
+    device: str,
+    overwrite: bool,
 ) -> Result:
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
     asked = Request.of(
         (row.source, row.target),
         fitting,
         dataclasses.replace(posing, **own),
+        finding,
         on_warning=console.warn,
     )
     if (run / MANIFEST).is_file() and not has_state(run):

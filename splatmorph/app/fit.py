@@ -12,15 +12,23 @@ from cyclopts import Parameter
 from torch import Tensor
 
 from splatmorph.app import console
-from splatmorph.app.options import Device, Out, Overwrite, Splat, choose_device
+from splatmorph.app.options import Auto, Device, Out, Overwrite, Searching, Splat, choose_device
+from splatmorph.runs.finding import Finding
 from splatmorph.runs.posing import Posing
-from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
+from splatmorph.runs.request import (
+    DEFAULT_FITTING,
+    DEFAULT_POSING,
+    Fitting,
+    Request,
+    claim_run,
+)
 from splatmorph.runs.run import Run
 from splatmorph.runs.standing import standing
 from splatmorph.runs.state import has_state
 
 FittingOptions = Annotated[Fitting, Parameter(name="*")]
 PosingOptions = Annotated[Posing, Parameter(name="*")]
+DEFAULT_SEARCH = Searching()
 
 
 def fit(
@@ -34,6 +42,15 @@ def fit(
     ] = False,
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
+    auto: Auto = True,
+    refine: Annotated[
+        bool,
+        Parameter(
+            negative="",
+            help="Add landmarks on the surfaces to those given: for few (6 to 12) of them.",
+        ),
+    ] = False,
+    searching: Searching = DEFAULT_SEARCH,
     device: Device = "cpu",
     resume: Annotated[
         bool, Parameter(negative="", help="Go on with a fit that was interrupted.")
@@ -42,6 +59,8 @@ def fit(
 ) -> int:
     """Fit the flow that carries one splat's landmarks to the other's, and write a run directory.
 
+    Where there are no landmarks, they are looked for: faces, and surfaces for the rest.
+
     Without -o the run is made in the current folder, as SOURCE-TARGET.run.
 
     With more than two splats the run is a chain whose t goes from 0 at the first to n - 1 at the
@@ -49,7 +68,19 @@ def fit(
 
     Exits with 3 where many landmarks are missed by far; the run is kept.
     """
-    asked = Request.of((source, target, *more), fitting, posing, mean=mean, on_warning=console.warn)
+    if out is not None:
+        claim_run(out, resume=resume, overwrite=overwrite)
+    finding = Finding(auto, refine, **vars(searching), seed=fitting.seed)
+    with console.progress("looking for landmarks") as update:
+        asked = Request.of(
+            (source, target, *more),
+            fitting,
+            posing,
+            finding,
+            mean=mean,
+            on_warning=console.warn,
+            on_search=update,
+        )
     folder = out or asked.folder
     warnings: list[str] = []
     try:
@@ -80,6 +111,9 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
     names = " → ".join(one.name for one in asked.inputs)
     counts = " + ".join(f"{len(one.gaussians):,}" for one in asked.inputs)
     console.say(f"{names}: {counts} splats")
+    for found in (leg.found for leg in asked.legs):
+        if found is not None:
+            console.say(str(found))
     for i, leg in enumerate(run.legs):
         report = leg.report
         if said := standing(leg.frame, leg.source_points, _offset(asked, i)):

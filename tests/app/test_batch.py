@@ -78,7 +78,8 @@ def test_each_pair_becomes_a_run(splats: Path, batch: Batch) -> None:
 
 def test_a_wrong_pair_does_not_stop_the_others(splats: Path, batch: Batch) -> None:
     (splats / "c.landmarks.json").unlink()
-    code, out, err = batch(table(splats, "none.ply,a.ply", "a.ply,c.ply", "a.ply,b.ply"))
+    pairs = table(splats, "none.ply,a.ply", "a.ply,c.ply", "a.ply,b.ply")
+    code, out, err = batch(pairs, "--no-auto")
     assert code == 1
     assert "error: none-a: " in err
     assert "error: a-c: " in err

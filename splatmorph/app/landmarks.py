@@ -1,0 +1,56 @@
+"""``splatmorph landmarks``: correspondences of two splats, found."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from splatmorph.app import console
+from splatmorph.app.options import Out, Overwrite, Searching, Seed, Splat
+from splatmorph.registration import find_landmarks
+from splatmorph.runs.inputs import load_splat
+
+DEFAULT_SEARCH = Searching()
+
+
+def landmarks(
+    source: Splat,
+    target: Splat,
+    /,
+    *,
+    out: Out = None,
+    searching: Searching = DEFAULT_SEARCH,
+    seed: Seed = 0,
+    overwrite: Overwrite = False,
+) -> None:
+    """Find landmarks on two splats in any pose, and write them as <stem>.landmarks.json.
+
+    They are written beside the splats, where `fit` finds them, or into the folder given by -o.
+    Look at them, delete what is wrong, add what is missing: each has a confidence.
+    """
+    loaded = load_splat(source), load_splat(target)
+    paths = [_path_of(one.path, one.name, out) for one in loaded]
+    for path in paths:
+        console.claim(path, overwrite)
+    with console.progress("looking for landmarks") as update:
+        found = find_landmarks(
+            loaded[0].gaussians,
+            loaded[1].gaussians,
+            searching.method,
+            count=searching.count,
+            face_model=searching.face_model,
+            crop=searching.crop,
+            target_crop=searching.target_crop,
+            seed=seed,
+            on_step=update,
+        )
+    for warning in found.warnings:
+        console.warn(warning)
+    console.say(str(found))
+    for path, points in zip(paths, (found.source, found.target), strict=True):
+        points.write(path)
+        console.say(f"wrote {path}")
+
+
+def _path_of(splat: Path, name: str, folder: Path | None) -> Path:
+    beside = splat.parent if folder is None else folder
+    return beside / f"{name}.landmarks.json"

@@ -1,0 +1,96 @@
+"""How sure a search may be of what it found, and what speaks against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from splatmorph.geometry.similarity import Similarity
+from splatmorph.registration.pose import Pose, rival
+
+SURE, FAIR = 0.7, 0.45
+NEIGHBOURS = 24
+HALF_SURE = 0.02
+"""Mean distinctness of the samples near a point at which the point counts half."""
+COUNTERPART = 0.06
+"""Radii within which a surface has a counterpart."""
+UNLIKE = 14.0
+"""Score of a pose from which two splats look so unlike that surfaces alone give a start only;
+read off five heads, their warps and ten ICT persons."""
+ALONE, TELLING = 0.06, 0.008
+"""Lead of the best pose, mean distinctness of the matches: below, they are doubted."""
+
+
+@dataclass(frozen=True)
+class Gap:
+    """How far apart two surfaces lie, each point to the nearest of the other, both ways."""
+
+    mean: float
+    """In the units of the points."""
+    alone: float
+    """Share of the points whose surface has no counterpart within ``COUNTERPART`` radii."""
+
+
+def gap_between(a: Tensor, b: Tensor, radius: float) -> Gap:
+    """The gap between two surfaces' points (n, 3), (m, 3) of an object of such a radius."""
+    one, other = (points.detach().cpu().double().numpy() for points in (a, b))
+    there, back = cKDTree(other).query(one)[0], cKDTree(one).query(other)[0]
+    far = [float((part > COUNTERPART * radius).mean()) for part in (there, back)]
+    return Gap(float(there.mean() + back.mean()) / 2, sum(far) / 2)
+
+
+def of_points(points: Tensor, weights: Tensor) -> Tensor:
+    """(n,) how sure each sample's landmark is: how distinct the matches round it were."""
+    near = cKDTree(points.numpy()).query(points.numpy(), min(NEIGHBOURS, len(points)))[1]
+    local = weights.double()[torch.from_numpy(near)].mean(1)
+    return local / (local + HALF_SURE)
+
+
+def of_faces(points: Tensor, gap: Gap) -> float:
+    """Of a search that faces or given landmarks hold: theirs, less what has no counterpart."""
+    return float(points.mean()) * (1 - gap.alone / 2)
+
+
+def of_surfaces(poses: list[Pose], distinct: float, gap: Gap) -> tuple[float, list[str]]:
+    """Of a search by surfaces alone, and what speaks against it."""
+    best = poses[0]
+    likeness = 1 / (1 + (best.score / UNLIKE) ** 2)
+    telling = min(1.0, distinct / (2 * TELLING))
+    other = rival(poses)
+    lead = 1.0 if other is None else min(1.0, other[1] / (2 * ALONE))
+    sure = likeness * telling * lead * (1 - gap.alone / 2)
+    doubts = []
+    if other is not None and other[1] < ALONE:
+        first, second = (in_turns(pose.similarity) for pose in (best, other[0]))
+        doubts.append(
+            f"two poses fit about as well: {first} (taken), and {second}; objects that look alike "
+            "from several sides have no one pose: turn one by hand, or give landmarks"
+        )
+    if best.score > UNLIKE:
+        doubts.append(
+            "without a face in both, two objects that look so unlike are matched roughly: take "
+            "this as a start and give landmarks where it is wrong"
+        )
+    elif distinct < TELLING:
+        doubts.append(
+            "next to nothing on the surfaces is distinct enough to tell what belongs together: "
+            "give landmarks"
+        )
+    return sure, doubts
+
+
+def in_turns(similarity: Similarity) -> str:
+    """A pose in words."""
+    degrees = similarity.degrees
+    if degrees < 0.5:
+        return "as they lie"
+    axis = ", ".join(f"{value:.2f}" for value in similarity.axis.tolist())
+    return f"the source turned by {degrees:.0f}° about ({axis})"
+
+
+def in_words(sure: float) -> str:
+    """sure, fairly sure or unsure."""
+    return "sure" if sure >= SURE else "fairly sure" if sure >= FAIR else "unsure"

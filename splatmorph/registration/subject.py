@@ -1,0 +1,88 @@
+"""A splat made ready to be registered: cleaned, at unit size, its surface sampled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
+from splatmorph.registration import descriptors
+from splatmorph.registration.surfaces import Array, Surface, farthest, see_surface
+
+SAMPLES = 2600
+RING = (0.06, 0.3)
+"""Radii between which a point is compared with its surroundings."""
+REFERENCES = 1200
+UNLIKE = 0.15
+"""Quantile of the descriptor's distance to the surroundings that says how much detail is here."""
+MOST_STRETCH = 3.0
+
+
+@dataclass(frozen=True)
+class Subject:
+    """One side of a registration, in its own coordinates: center 0, root mean square radius 1."""
+
+    gaussians: Gaussians
+    dense: Surface
+    """Some thousands of points."""
+    samples: Surface
+    """Those that are matched: more where there is more to see."""
+    to_unit: Similarity
+    """World → unit."""
+
+    def posed(self, pose: Similarity) -> Subject:
+        """The same moved by a similarity of unit coordinates."""
+        return Subject(
+            self.gaussians.moved(pose),
+            turned(self.dense, pose),
+            turned(self.samples, pose),
+            pose @ self.to_unit,
+        )
+
+
+def prepare(gaussians: Gaussians, *, samples: int = SAMPLES, seed: int = 0) -> Subject:
+    """See the surface of a (cleaned) splat and choose the points that are matched.
+
+    Raises:
+        LandmarkError: next to no surface is to be seen.
+    """
+    dense, center, radius = see_surface(gaussians)
+    middle = torch.from_numpy(center)
+    to_unit = Similarity(torch.eye(3, dtype=torch.float64), 1 / radius, -middle / radius)
+    gaussians, dense = gaussians.moved(to_unit), turned(dense, to_unit)
+    stretch = np.sqrt(np.clip(_detail(gaussians, dense), 1 / MOST_STRETCH, MOST_STRETCH))
+    chosen = farthest(dense.points, samples, stretch, seed)
+    return Subject(gaussians, dense, dense.select(chosen), to_unit)
+
+
+def _detail(gaussians: Gaussians, surface: Surface) -> Array:
+    """(n,) how unlike its surroundings each point looks; 1 is the usual."""
+    cameras = descriptors.cameras_of(np.zeros(3))
+    seen = descriptors.describe(gaussians, surface.points, surface.normals, cameras)
+    few = farthest(surface.points, REFERENCES)
+    where = torch.full((len(surface),), -1)
+    where[torch.from_numpy(few)] = torch.arange(len(few))
+    references = []
+    for one in seen:
+        index = where[one.index]
+        kept = index >= 0
+        references.append(descriptors.Seen(index[kept], one.weights[kept], one.values[kept]))
+    unlike, common = descriptors.distances(seen, references, (len(surface), len(few)))
+    points = torch.from_numpy(surface.points).float()
+    apart = torch.cdist(points, points[torch.from_numpy(few)])
+    ring = (apart > RING[0]) & (apart < RING[1]) & (common > descriptors.COMMON)
+    detail = torch.nanquantile(torch.where(ring, unlike, torch.nan), UNLIKE, dim=1)
+    detail = torch.where(detail.isfinite(), detail, detail.nanmedian())
+    return np.asarray(detail / detail.median()).astype(np.float64)
+
+
+def turned(surface: Surface, similarity: Similarity) -> Surface:
+    """The surface moved by a similarity; what its features say stays true."""
+    return Surface(
+        similarity(torch.from_numpy(surface.points)).numpy(),
+        surface.normals @ similarity.rotation.numpy().T,
+        surface.features,
+    )
