@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
+import torch
 from cyclopts import Parameter
 
 from splatmorph import io
@@ -12,8 +13,10 @@ from splatmorph.app import console
 from splatmorph.app.options import Json
 from splatmorph.avatars import is_avatar, summarize
 from splatmorph.errors import SplatmorphError
-from splatmorph.gaussians import FAINTEST_DRAWN
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
+from splatmorph.io.offsets import lost_detail
 from splatmorph.runs.inputs import Input, bounding_box, load_input
+from splatmorph.runs.upright import standing_way
 
 
 def inspect(
@@ -48,7 +51,8 @@ def describe(file: Path) -> dict[str, Any]:
             return {"file": str(file), **rig}
     loaded = load_input(file)
     gaussians = loaded.gaussians
-    low, high = (corner.tolist() for corner in bounding_box(gaussians))
+    offset = torch.tensor(gaussians.offset).double()
+    low, high = ((corner + offset).tolist() for corner in bounding_box(gaussians))
     largest = gaussians.scales.amax(dim=1)
     norms = gaussians.quats.norm(dim=1)
     return {
@@ -59,6 +63,8 @@ def describe(file: Path) -> dict[str, Any]:
         "splats": len(gaussians),
         "sh_degree": gaussians.sh_degree,
         "bounds_98_percent": [low, high],
+        "up": _up(gaussians),
+        **_far(gaussians),
         "median_largest_scale": float(largest.median()),
         "median_opacity": float(gaussians.opacities.median()),
         "invisible": int((gaussians.opacities < FAINTEST_DRAWN).sum()),
@@ -66,6 +72,20 @@ def describe(file: Path) -> dict[str, Any]:
         "extras": sorted(gaussians.extras),
         "landmarks": _landmarks(loaded),
     }
+
+
+def _up(gaussians: Gaussians) -> str:
+    axis, why = standing_way(gaussians)
+    hint = ": --up -y is likely right" if axis == "-y" and gaussians.up is None else ""
+    return f"{axis} ({why}{hint})"
+
+
+def _far(gaussians: Gaussians) -> dict[str, Any]:
+    """What is to be said of centers far from the origin."""
+    said: dict[str, Any] = {"offset": list(gaussians.offset)} if any(gaussians.offset) else {}
+    if (spacing := lost_detail(gaussians)) is not None:
+        said["centers_rounded_to"] = spacing
+    return said
 
 
 def _rig(file: Path) -> dict[str, Any]:

@@ -53,10 +53,13 @@ def about(gaussians: Gaussians, offset: Offset) -> Gaussians:
     return replace(gaussians, means=means.float(), offset=offset)
 
 
-def lost_detail(means: NDArray[Any], log_scales: NDArray[Any]) -> float | None:
-    """To what single precision rounds these centers; None where the splats are larger than that."""
-    spacing = _spacing(means)
-    return spacing if spacing > COARSE * _typical_size(log_scales) else None
+def lost_detail(gaussians: Gaussians) -> float | None:
+    """To what the file's single precision rounds the centers; None where that isn't seen."""
+    if not any(gaussians.offset) or with_offset(gaussians).dtype != np.float32:
+        return None
+    spacing = float(np.spacing(np.float32(max(map(abs, gaussians.offset)))))
+    size = _typical_size(gaussians.log_scales.detach().cpu().numpy())
+    return spacing if spacing > COARSE * size else None
 
 
 def _offset(means: NDArray[Any], log_scales: NDArray[Any]) -> NDArray[np.float64]:

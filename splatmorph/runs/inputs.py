@@ -110,6 +110,8 @@ def load_input(
     if landmarks is None:
         return loaded
     found = Landmarks.read(landmarks)
+    # The splats are without their offset, so that single precision holds them.
+    found = replace(found, points=found.points - found.points.new_tensor(loaded.gaussians.offset))
     found.check_near(*bounding_box(loaded.gaussians), f"the splat {path}")
     return replace(loaded, landmarks=found)
 

@@ -20,6 +20,9 @@ from PIL import Image
 from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.quaternions import matrices_from_axis_angles
+from splatmorph.geometry.similarity import Similarity
+from splatmorph.images.quality import psnr
 from splatmorph.io import elements
 from splatmorph.io.axes import turn_between, upright
 from splatmorph.io.usd import read_usd
@@ -466,3 +469,68 @@ def test_the_library_offers_what_it_says() -> None:
     assert callable(sm.fit)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = sm.nothing
+
+
+# Captures that share no frame --------------------------------------------------------------
+
+
+def stand_apart(degrees: float, scale: float) -> Similarity:
+    """Turn, scale and move b.ply and its landmarks."""
+    axis = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64)
+    turn = matrices_from_axis_angles(torch.deg2rad(torch.tensor(degrees)) * axis)
+    done = Similarity(turn, scale, torch.tensor([3.0, -2.0, 5.0]))
+    io.write("b.ply", io.read("b.ply").moved(done))
+    Landmarks.read("b.landmarks.json").moved(done).write("b.landmarks.json")
+    return done
+
+
+def test_a_target_that_stands_apart_looks_as_at_rest(pair: tuple[Path, Path], cli: Run) -> None:
+    sheet = ("--sheet", "--t", "0,0.5,1", "--size", "64x64")
+    assert cli("fit", *pair, "-o", "rest.run")[0] == 0
+    assert cli("render", "rest.run", *sheet, "-o", "rest.png")[0] == 0
+    stand_apart(150, 3)
+    code, out, _ = cli("fit", *pair, "-o", "away.run")
+    assert code == 0
+    assert "about x" in out
+    assert "times as large" in out
+    assert cli("render", "away.run", *sheet, "-o", "away.png")[0] == 0
+    rest, away = (torch.from_numpy(np.array(Image.open(f"{n}.png"))) for n in ("rest", "away"))
+    assert psnr(rest / 255, away / 255) > 45
+    assert cli("export", "away.run", "--frames", 2, "-o", "played")[0] == 0
+    assert cli("export", "away.run", "--frames", 2, "--stay", "-o", "still")[0] == 0
+    played, still = (io.read(f"{folder}/morph_0001.ply") for folder in ("played", "still"))
+    assert torch.equal(played.means, io.read("b.ply").means)
+    frame = open_run("away.run").legs[0].frame
+    torch.testing.assert_close(still.means, frame.inverse()(played.means), atol=1e-5, rtol=0)
+
+
+def test_other_units_are_named(pair: tuple[Path, Path], cli: Run) -> None:
+    stand_apart(0, 1e-3)
+    code, out, err = cli("fit", *pair)
+    assert code == 0
+    assert "the source is about 1000 times the target (mm against m?)" in out
+    assert "misplaced" not in err
+
+
+def test_landmarks_missed_by_far_exit_with_3_and_keep_the_run(
+    pair: tuple[Path, Path], cli: Run
+) -> None:
+    marks = Landmarks.read("b.landmarks.json")
+    shuffled = torch.randperm(20, generator=torch.Generator().manual_seed(3))
+    Landmarks(marks.points[shuffled], marks.names).write("b.landmarks.json")
+    code, _, err = cli("fit", *pair)
+    assert code == console.MISSED == 3
+    assert err.startswith("error: not met: ")
+    assert open_run("a-b.run").legs[0].report["missed"]
+
+
+def test_up_takes_a_minus_as_it_stands_and_else_what_the_file_says(
+    pair: tuple[Path, Path], cli: Run
+) -> None:
+    io.write("z.ply", replace(io.read("a.ply"), up="z"))
+    for options, name in (((), "said"), (("--up", "z"), "given"), (("--up", "-y"), "other")):
+        words = ("render", "z.ply", *options, "--size", "48x48", "-o", f"{name}.png")
+        assert cli(*words)[0] == 0
+    said, given, other = (Path(f"{name}.png").read_bytes() for name in ("said", "given", "other"))
+    assert said == given != other
+    assert "z (its file says so)" in cli("inspect", "z.ply")[1]
