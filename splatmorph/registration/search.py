@@ -19,6 +19,7 @@ from splatmorph.registration import confidence
 from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.face_network import find_model, load_network
 from splatmorph.registration.faces import FoundFace, find_face
+from splatmorph.registration.gaps import Gap, gap_between
 from splatmorph.registration.matches import FREE, FROM_AFAR, HELD, Matched, Schedule, match
 from splatmorph.registration.pose import find_poses
 from splatmorph.registration.regression import Pairs, flow
@@ -320,9 +321,9 @@ class _Flowing:
         return self.matched.node
 
     @property
-    def gap(self) -> confidence.Gap:
+    def gap(self) -> Gap:
         """How far apart the surfaces are at half-time."""
-        return confidence.gap_between(
+        return gap_between(
             flow(self.node, torch.from_numpy(self.source.dense.points), 0.5),
             flow(self.node, torch.from_numpy(self.target.dense.points), -0.5),
             1.0,

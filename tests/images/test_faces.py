@@ -19,6 +19,7 @@ from splatmorph.images import (
     read_points,
     with_anchors,
 )
+from splatmorph.images.faces import detect_face
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import landmark_mse
 
@@ -85,3 +86,18 @@ def test_eyes_and_mouth_come_to_lie_on_each_other(
     for part in (eyes, mouth):
         likeness = np.corrcoef(source[part].ravel(), target[part].ravel())[0, 1]
         assert likeness > 0.8  # unwarped: 0.48 and 0.69
+
+
+def test_a_face_is_found_as_its_template_says(
+    faces: tuple[Picture, Picture], shared_data: Path
+) -> None:
+    pytest.importorskip("cv2")
+    model = shared_data / "models" / "face_landmarker.task"
+    if not model.is_file():
+        pytest.skip("the face model is not here")
+    found = detect_face(faces[0], model)
+    canvas = faces[0].canvas
+    template = read_points(shared_data / "faces2d" / "001_03.tem", canvas).points
+    # The template begins with the pupils; the irises' centers are the network's 468 and 473.
+    pupils = found.points[[468, 473]]
+    assert float((pupils - template[:2]).norm(dim=1).max()) < 8 * canvas.pixel

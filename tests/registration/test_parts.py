@@ -14,8 +14,8 @@ from scipy.ndimage import gaussian_filter
 import splatmorph as sm
 from splatmorph.registration.assignment import soft
 from splatmorph.registration.cleaning import without_floaters
-from splatmorph.registration.confidence import gap_between
 from splatmorph.registration.descriptors import blur
+from splatmorph.registration.gaps import gap_between
 from splatmorph.registration.pose import rotations
 from splatmorph.registration.regression import Pairs, Planes, flow, regress, still
 from splatmorph.registration.surfaces import farthest, see_surface
