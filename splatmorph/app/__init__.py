@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 import traceback
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import App, CycloptsError, Parameter
@@ -16,20 +18,17 @@ from splatmorph.app import console
 from splatmorph.app.ranges import RangeError, check_ranges
 from splatmorph.errors import SplatmorphError
 
-COMMANDS = {
-    "inspect": "Say what a splat or an avatar is: counts, bounds, frame, bad values.",
-    "fit": "Fit the flow that carries one splat's landmarks to the other's: makes a run.",
-    "landmarks": "Find landmarks on two splats: faces, and surfaces for the rest.",
-    "render": "Render a run as a video or pictures; or any splat.",
-    "export": "Write the splats between as files, one a time.",
-    "eval": "Measure a run: landmark errors, flow laws, folding, energies.",
-    "streamlines": "Draw the flow of a run.",
-    "view": "Look at a run in the browser, live or as one page to share.",
-    "bake": "Write a rigged avatar as a plain splat.",
-    "image": "Morph one picture into another.",
-    "batch": "Fit many pairs that a table names, each into a run of its own.",
-    "demo": "Fit, render and export the sample pair.",
-}
+def _commands() -> dict[str, str]:
+    """What each module here that begins with ``splatmorph NAME`` says it does, unloaded."""
+    heads = []
+    for file in sorted(Path(__file__).parent.glob("*.py")):
+        with file.open(encoding="utf-8") as stream:
+            heads.append(stream.readline())
+    found = (re.match(r'"""``splatmorph (\w+)``: (.+?)(?:""")?$', head) for head in heads)
+    return {match[1]: match[2] for match in found if match}
+
+
+COMMANDS = _commands()
 
 USAGE, FAILED, INTERRUPTED = 2, 1, 130
 

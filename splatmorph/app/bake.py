@@ -1,4 +1,4 @@
-"""``splatmorph bake``: a rigged avatar as plain splats, one frame or a whole track."""
+"""``splatmorph bake``: Write a rigged avatar as a plain splat."""
 
 from __future__ import annotations
 

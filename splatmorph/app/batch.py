@@ -1,4 +1,4 @@
-"""``splatmorph batch``: many pairs from a table, each into a run of its own."""
+"""``splatmorph batch``: Fit many pairs that a table names, each into a run of its own."""
 
 from __future__ import annotations
 

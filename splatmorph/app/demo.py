@@ -1,4 +1,4 @@
-"""``splatmorph demo``: the whole path on the sample pair, by the same commands a user types."""
+"""``splatmorph demo``: Fit, render and export the sample pair."""
 
 from __future__ import annotations
 

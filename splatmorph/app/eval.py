@@ -1,4 +1,4 @@
-"""``splatmorph eval``: measure a run."""
+"""``splatmorph eval``: Measure a run: landmark errors, flow laws, folding, energies."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``splatmorph export``: the splats between, as files."""
+"""``splatmorph export``: Write the splats between as files, one a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``splatmorph fit``: two splats in, a run directory out."""
+"""``splatmorph fit``: Fit the flow that carries one splat's landmarks to the other's: a run."""
 
 from __future__ import annotations
 

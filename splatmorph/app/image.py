@@ -1,4 +1,4 @@
-"""``splatmorph image``: one picture morphed into another."""
+"""``splatmorph image``: Morph one picture into another."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``splatmorph inspect``: what a file is, before anything is done with it."""
+"""``splatmorph inspect``: Say what a splat or an avatar is: counts, bounds, frame, bad values."""
 
 from __future__ import annotations
 

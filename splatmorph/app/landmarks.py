@@ -1,4 +1,4 @@
-"""``splatmorph landmarks``: correspondences of two splats, found."""
+"""``splatmorph landmarks``: Find landmarks on two splats: faces, and surfaces for the rest."""
 
 from __future__ import annotations
 

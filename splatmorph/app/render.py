@@ -1,4 +1,4 @@
-"""``splatmorph render``: pictures and videos of a run, or of any splat."""
+"""``splatmorph render``: Render a run as a video or pictures; or any splat."""
 
 from __future__ import annotations
 

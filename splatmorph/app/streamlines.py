@@ -1,4 +1,4 @@
-"""``splatmorph streamlines``: the flow of a run, drawn on the object it moves."""
+"""``splatmorph streamlines``: Draw the flow of a run."""
 
 from __future__ import annotations
 

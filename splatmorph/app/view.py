@@ -1,4 +1,4 @@
-"""``splatmorph view``: a run in the browser, live or as one page to share."""
+"""``splatmorph view``: Look at a run in the browser, live or as one page to share."""
 
 from __future__ import annotations
 
