@@ -18,6 +18,7 @@ from splatmorph.app import console
 from splatmorph.app.ranges import RangeError, check_ranges
 from splatmorph.errors import SplatmorphError
 
+
 def _commands() -> dict[str, str]:
     """What each module here that begins with ``splatmorph NAME`` says it does, unloaded."""
     heads = []
