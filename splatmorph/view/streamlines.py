@@ -25,6 +25,7 @@ from splatmorph.errors import MissingExtraError, OptionError, WriteError
 from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.atomic import atomic_write
 from splatmorph.rendering import rasterize, renderer_arrays
+from splatmorph.view.colour_bar import colour_bar
 from splatmorph.view.subject import Subject, thin
 
 STEPS = 48
@@ -125,7 +126,8 @@ def picture(
 ) -> NDArray[np.uint8]:
     """Flows side by side over pale pictures of their sources, all seen by the same ``view``.
 
-    Lines that begin behind the object are left out. Returns (height, panels × width, 3) uint8.
+    Lines that begin behind the object are left out. Returns (height, panels × width + the colour
+    bar's, 3) uint8.
 
     Raises:
         WriteError: there is nothing here to draw with.
@@ -139,7 +141,12 @@ def picture(
     with _scene(subjects, shown, limits, view, window=False, clouds=False) as plotter:
         over = plotter.screenshot(return_img=True, transparent_background=True) / 255.0
     cover = over[..., 3:]
-    return to_bytes(over[..., :3] * cover + np.concatenate(backdrops, axis=1) * (1 - cover))
+    drawn = to_bytes(over[..., :3] * cover + np.concatenate(backdrops, axis=1) * (1 - cover))
+    colouring = lines[0].colouring
+    bar = colour_bar(
+        COLOURINGS[colouring], COLOUR_MAPS[colouring], (limits[0], limits[1]), view.height, INK
+    )
+    return np.concatenate([drawn, bar], axis=1)
 
 
 def show(
@@ -218,7 +225,7 @@ def _scene(
         for column, (subject, traced) in enumerate(zip(subjects, lines, strict=True)):
             plotter.subplot(0, column)
             coloured = _add_lines(plotter, subject, traced, limits)
-            if coloured is not None and not plotter.scalar_bars:
+            if clouds and coloured is not None and not plotter.scalar_bars:
                 _add_bar(plotter, coloured, traced.colouring, view.height)
             if clouds:
                 _add_cloud(plotter, subject)
