@@ -126,7 +126,7 @@ def moment(
         what has changed, and ``sh``: turned by ``turns``, where they are among the paths.
     """
     shape = {
-        name: (weights.to(path) @ path.flatten(1)).unflatten(0, path.shape[1:])
+        name: (weights.to(path) @ path.flatten(1)).reshape(path.shape[1:])
         for name, path in paths.items()
     }
     turns = shape.pop("turns", None)

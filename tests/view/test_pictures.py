@@ -83,7 +83,8 @@ class TestStreamlines:
         still = Subject(Morph(morph.source, morph.target, make_flow("linear")))
         rest = streamlines.trace(still, seeds=20)
         drawn = streamlines.picture([shown, shown, still], [lines, lines, rest], view)
-        assert drawn.shape == (120, 480, 3)
+        # Three panels, and beside them the colour bar.
+        assert drawn.shape == (120, 3 * 160 + 24, 3)
         bare, _ = streamlines._backdrop(shown, lines, view)
         assert np.abs(drawn[:, :160] / 255 - bare).max() > 0.3
         first, second = (drawn[30:75, x : x + 160].astype(float) for x in (0, 160))

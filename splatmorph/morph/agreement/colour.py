@@ -115,4 +115,4 @@ def view_dependence(
     for other, share in zip(others, shares, strict=True):
         theirs = Neighbours(other, part.means).means(other.sh[:, 1:].flatten(1))
         moved += share * (theirs - own)
-    return moved.unflatten(1, (-1, 3))
+    return moved.reshape(len(moved), -1, 3)

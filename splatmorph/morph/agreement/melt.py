@@ -52,7 +52,8 @@ class Surface:
         if self._tree is None:
             return points
         found = self._tree.query(points, SHEET, workers=-1)[1]
-        return self._points[found].mean(1)
+        flat: np.ndarray = self._points[found].mean(1)
+        return flat
 
 
 def offsets(
@@ -98,7 +99,8 @@ def _way(
     alone = ((size - low) / (high - low)).clamp(0, 1)
     step = step * (size / (SAME * radius) - 1).clamp(0, 1) * (1 - alone)
     for _ in range(ROUNDS):
-        step, alone = around.means(torch.cat([step, alone], 1)).split([3, 1], 1)
+        mean = around.means(torch.cat([step, alone], 1))
+        step, alone = mean[:, :3], mean[:, 3:]
     if len(held):
         away = cKDTree(held.double().numpy(force=True)).query(points, workers=-1)[0]
         away = torch.from_numpy(away / (HELD * radius)).float()
@@ -109,5 +111,5 @@ def _way(
 def slopes(rest: Gaussians, offset: Tensor, around: Neighbours) -> Tensor:
     """∂offset/∂x (n, 3, 3) at the splats at rest, held back where it would fold them."""
     found = around.slopes(rest.means.float(), offset)
-    size = torch.linalg.matrix_norm(found)[:, None, None]
+    size: Tensor = torch.linalg.matrix_norm(found)[:, None, None]
     return found * (STEEPEST / size.clamp_min(1e-12)).clamp_max(1)

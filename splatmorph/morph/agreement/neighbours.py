@@ -56,4 +56,5 @@ class Neighbours:
         # On a sheet nothing tells the slope across: there it is small.
         ridge = 0.1 * torch.einsum("nii->n", moments) + 1e-30
         moments = moments + ridge[:, None, None] * torch.eye(3, dtype=moments.dtype)
-        return torch.linalg.solve(moments, mixed.mT).mT
+        solved: Tensor = torch.linalg.solve(moments, mixed.mT)
+        return solved.mT
