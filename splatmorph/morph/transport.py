@@ -60,7 +60,7 @@ def move_centers(
     return lambda k: replace(
         gaussians,
         means=centers(k),
-        sh=torch.add(gaussians.sh, drift.sh, alpha=abs(times[k])),
+        sh=torch.add(gaussians.sh, drift.sh.to(gaussians.sh), alpha=abs(times[k])),
     )
 
 
@@ -70,7 +70,7 @@ def _centers(
     path = flow.trajectory(gaussians.means, times)
     if drift is None:
         return path.__getitem__
-    return lambda k: torch.add(path[k], drift.offset, alpha=abs(times[k]))
+    return lambda k: torch.add(path[k], drift.offset.to(path[k]), alpha=abs(times[k]))
 
 
 @torch.no_grad()
@@ -97,7 +97,7 @@ def move_shapes(
 
     def frame(k: int) -> Gaussians:
         near, weights = _about(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
-        own = None if drift is None else (drift.sh, abs(times[k]))
+        own = None if drift is None else (drift.sh.to(gaussians.sh), abs(times[k]))
         degree = gaussians.sh_degree
         takes = native.takes(near, gaussians.sh, degree)
         between = native.moment if takes else moment

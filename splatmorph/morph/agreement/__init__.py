@@ -82,6 +82,7 @@ class Meeting:
         way: float,
         held: Tensor,
     ) -> None:
+        rest, middle = (list(map(_on_cpu, parts)) for parts in (rest, middle))
         around = bounds(*middle)
         self.views, radius = views_of(around), around.radius
         self.near = [Neighbours(part) for part in middle]
@@ -121,6 +122,12 @@ class Meeting:
         return sh
 
 
+def _on_cpu(gaussians: Gaussians) -> Gaussians:
+    names = ("means", "quats", "log_scales", "opacity_logits", "sh")
+    fields = {name: getattr(gaussians, name).detach().float().cpu() for name in names}
+    return Gaussians(**fields)
+
+
 @torch.no_grad()
 def agree(
     rest: Sequence[Gaussians],
@@ -129,6 +136,8 @@ def agree(
     held: Tensor,
 ) -> list[Agreement]:
     """How the two halves of a morph agree; arguments as for ``Meeting``."""
+    if not any((part.opacities > 1 / 255).any() for part in middle):
+        return [Agreement.none(half) for half in rest]
     meeting = Meeting(rest, middle, turns, [[0, 1], [1, 0]], 0.5, held)
     leads = lead.leads(meeting.parts, meeting.views, meeting.shown, meeting.near)
     densities = [

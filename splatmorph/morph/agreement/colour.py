@@ -28,6 +28,9 @@ COARSE = 2.0
 ROUNDS = 3
 """Rounds of reading back."""
 
+PUSH = 1.5
+"""How much of what is missing is added a round; iterations of this kind converge below 2."""
+
 UNSURE = 1.0
 """Pixels of which a splat must be seen to be trusted more than its neighbours."""
 
@@ -95,7 +98,7 @@ def change(
             step += view.gather(arrays, missing.unbind(0))
         step /= total.clamp_min(1e-6)[:, None]
         nearby = around.means(step, sure)
-        changed += trust * torch.lerp(nearby, step, sure[:, None])
+        changed += PUSH * trust * torch.lerp(nearby, step, sure[:, None])
     return changed, trust[:, 0]
 
 

@@ -26,7 +26,7 @@ SHEET = 6
 SAME = 0.02
 """Of the radius: surfaces closer than this are the same."""
 
-REACH = (0.3, 0.45)
+REACH = (0.45, 0.7)
 """Of the radius: what is nearer melts, what is further away from the other stands alone."""
 
 HELD = 0.04
