@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
+import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -161,5 +163,9 @@ def _format_of(path: Path) -> Format:
 def _known() -> str:
     return ", ".join(sorted(FORMATS))
 
+
+# A module of its own may bring its formats: FORMATS there, by extension, as here.
+for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
+    FORMATS |= getattr(importlib.import_module(_module.name), "FORMATS", {})
 
 __all__ = ["FORMATS", "Format", "extension_of", "layout", "read", "stem_of", "write"]
