@@ -179,6 +179,7 @@ def test_what_the_renderer_raises_is_ours_where_we_called_it() -> None:
     ("statement", "heavy"),
     [
         ("import splatmorph", ("pyvista", "vtk", "warp", "viser", "cv2", "matplotlib", "torch")),
+        ("import splatmorph.io", ("pxr", "warp", "pyvista")),
         ("import splatmorph.flows", ("warp", "pyvista", "splatmorph.gaussians")),
     ],
 )

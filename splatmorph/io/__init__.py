@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import pkgutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -164,8 +163,10 @@ def _known() -> str:
     return ", ".join(sorted(FORMATS))
 
 
-# A module of its own may bring its formats: FORMATS there, by extension, as here.
-for _module in pkgutil.iter_modules(__path__, f"{__name__}."):
-    FORMATS |= getattr(importlib.import_module(_module.name), "FORMATS", {})
+# A module may bring formats of its own: FORMATS there, by extension. No other is loaded for it,
+# since some need what may not be installed.
+for _file in sorted(Path(__file__).parent.glob("*.py")):
+    if _file.stem != "__init__" and "\nFORMATS = {" in _file.read_text(encoding="utf-8"):
+        FORMATS |= importlib.import_module(f"{__name__}.{_file.stem}").FORMATS
 
 __all__ = ["FORMATS", "Format", "extension_of", "layout", "read", "stem_of", "write"]
