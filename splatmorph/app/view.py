@@ -2,23 +2,24 @@
 
 from __future__ import annotations
 
+import webbrowser
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, RunPath, UpOption
+from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, UpOption
 from splatmorph.errors import OptionError
 from splatmorph.rendering import upright
 from splatmorph.view.page import MAX_SPLATS, write_page
-from splatmorph.view.subject import open_subject
+from splatmorph.view.scene import Scene, open_scene
 
 PAGES = (".html", ".htm")
 
 
 def view(
-    run: RunPath,
+    what: Annotated[Path, Parameter(help="A run directory, a splat file or an avatar.")],
     /,
     *,
     out: Out = None,
@@ -28,7 +29,7 @@ def view(
     up: UpOption = None,
     background: ColourOption = None,
     max_splats: Annotated[
-        int, Parameter(help="Thin both splats out to this many together.")
+        int, Parameter(help="Thin all splats out to this many together.")
     ] = MAX_SPLATS,
     diagnostics: Annotated[
         Path | None,
@@ -36,40 +37,58 @@ def view(
     ] = None,
     host: Annotated[str, Parameter(help="Where the live viewer listens.")] = "127.0.0.1",
     port: Annotated[int, Parameter(help="The first port it tries.")] = 8080,
+    open_browser: Annotated[
+        bool, Parameter(name="--open", help="Open the browser on the live viewer.")
+    ] = True,
     overwrite: Overwrite = False,
 ) -> None:
-    """Look at a run: with -o x.html as one page that opens offline anywhere, else live.
+    """Look at a run or a splat: with -o x.html as one page that opens offline anywhere, else live.
 
     The live viewer listens on this machine only, unless --host says otherwise, and runs until
     Ctrl-C. --diagnostics draws loss, landmark errors, volume change and the warped grid.
     """
     if out is not None and out.suffix.lower() not in PAGES:
-        raise OptionError(f"{out}: the page is an .html (for pictures, see  splatmorph render)")
+        raise OptionError(f"{out}: the page is an .html (for pictures, see splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
-    subject, report = open_subject(run, **Blending(blend, ramp, covariance).chosen())
-    above = upright(subject.morph.source, up)
+    chosen = Blending(blend, ramp, covariance).chosen()
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
+        from splatmorph.view.subject import open_subject
 
-        draw_diagnostics(diagnostics, subject, report.get("errors", {}), read_history(run))
+        subject, report = open_subject(what, **chosen)
+        draw_diagnostics(diagnostics, subject, report.get("errors", {}), read_history(what))
     if out is not None:
-        page = write_page(out, subject, up=above, background=background, max_splats=max_splats)
-        if page.thinned:
-            console.warn(
-                f"thinned out from {page.visible} to {page.splats} splats: "
-                "give --max-splats to keep more"
-            )
-        console.say(
-            f"{page.splats} splats, {page.size / 1e6:.1f} MB, true to {page.error_px:.2f} pixels"
-        )
+        _write_page(out, open_scene(what, **chosen), up, background, max_splats)
     for path in written:
         console.say(f"wrote {path}")
     if not written:
         from splatmorph.view.live import serve
 
         paper = (1.0, 1.0, 1.0) if background is None else background
+        scene = open_scene(what, **chosen)
+        above = upright(scene.splats[0], up)
         viewer = serve(
-            subject, host=host, port=port, up=above, background=paper, max_splats=max_splats
+            scene, host=host, port=port, up=above, background=paper, max_splats=max_splats
         )
         console.say(f"look at {viewer.address}, stop with Ctrl-C")
+        if open_browser:
+            webbrowser.open(viewer.address)
         viewer.run()
+
+
+def _write_page(
+    out: Path,
+    scene: Scene,
+    up: str | None,
+    background: tuple[float, float, float] | None,
+    max_splats: int,
+) -> None:
+    above = upright(scene.splats[0], up)
+    page = write_page(out, scene, up=above, background=background, max_splats=max_splats)
+    if page.thinned:
+        console.warn(
+            f"thinned out from {page.visible} to {page.splats} splats: "
+            "give --max-splats to keep more"
+        )
+    truth = f", true to {page.error_px:.2f} pixels" if scene.legs else ""
+    console.say(f"{page.splats} splats, {page.size / 1e6:.1f} MB{truth}")

@@ -14,9 +14,10 @@ from splatmorph.errors import MissingExtraError, OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import SH0
 from splatmorph.geometry.quaternions import to_matrices
-from splatmorph.morph.ramps import RAMPS
+from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
 from splatmorph.rendering import Colour, orbit, render
-from splatmorph.view.subject import Subject, thin
+from splatmorph.view.scene import Scene
+from splatmorph.view.subject import thin
 
 FRAME = 1 / 24
 """Seconds a playing morph stands still."""
@@ -28,7 +29,7 @@ SOURCE_COLOUR, TARGET_COLOUR = (19, 128, 124), (200, 116, 26)
 
 
 def serve(
-    subject: Subject,
+    scene: Scene,
     *,
     host: str = "127.0.0.1",
     port: int = 8080,
@@ -36,7 +37,7 @@ def serve(
     background: Colour = (1.0, 1.0, 1.0),
     max_splats: int = 200_000,
 ) -> Viewer:
-    """Serve ``subject`` at http://host:port and return at once.
+    """Serve ``scene`` at http://host:port and return at once.
 
     Arguments:
         host: the address to listen at; the default is reached from this machine only.
@@ -57,7 +58,7 @@ def serve(
         server = viser.ViserServer(host=host, port=port, label="splatmorph", verbose=False)
     except OSError as error:
         raise OptionError(f"can't listen at {host}:{port} ({error}): give another") from error
-    return Viewer(server, subject, up, background, max_splats)
+    return Viewer(server, scene, up, background, max_splats)
 
 
 @dataclass(frozen=True)
@@ -73,27 +74,34 @@ class Viewer:
     """One server, the controls all its visitors share, and what they see."""
 
     def __init__(
-        self, server: Any, subject: Subject, up: str, background: Colour, max_splats: int
+        self, server: Any, scene: Scene, up: str, background: Colour, max_splats: int
     ) -> None:
-        self.server, self.subject, self.background = server, subject, background
+        self.server, self.scene, self.background = server, scene, background
         self.max_splats = max_splats
+        self.legs = list(scene.legs)
         self.drawn: _Drawn | None = None
         self.clock = 0.0
         self.layers: list[Any] = []
         self.seen: dict[int, tuple[Any, ...]] = {}
-        gui = server.gui
-        self.time = gui.add_slider("t", min=0.0, max=1.0, step=0.01, initial_value=0.0)
-        self.playing = gui.add_checkbox("Play", initial_value=False)
-        self.loop = gui.add_checkbox("Loop", initial_value=True)
-        self.part = gui.add_dropdown("Show", ("source", "morph", "target"), initial_value="morph")
-        self.ramp = gui.add_dropdown("Ramp", tuple(RAMPS), initial_value=subject.morph.ramp)
-        self.marks = gui.add_checkbox("Landmarks", initial_value=False)
+        self._add_controls(server.gui)
+        self._place_camera(up)
+
+    def _add_controls(self, gui: Any) -> None:
+        moves = bool(self.scene.legs)
+        last = float(max(1, len(self.scene.legs)))
+        ramp = self.scene.legs[0].morph.ramp if moves else DEFAULT_RAMP
+        parts = ("source", "morph", "target")
+        self.time = gui.add_slider("t", 0.0, last, 0.01, 0.0, visible=moves)
+        self.playing = gui.add_checkbox("Play", initial_value=False, visible=moves)
+        self.loop = gui.add_checkbox("Loop", initial_value=True, visible=moves)
+        self.part = gui.add_dropdown("Show", parts, initial_value="morph", visible=moves)
+        self.ramp = gui.add_dropdown("Ramp", tuple(RAMPS), initial_value=ramp, visible=moves)
+        self.marks = gui.add_checkbox("Landmarks", initial_value=False, visible=moves)
         self.true = gui.add_checkbox(
             "Rasterizer's picture",
             initial_value=False,
             hint="Draw by splatmorph's own rasterizer instead of the browser.",
         )
-        self._place_camera(up)
 
     @property
     def address(self) -> str:
@@ -101,7 +109,7 @@ class Viewer:
         return f"http://{self.server.get_host()}:{self.server.get_port()}"
 
     def _place_camera(self, up: str) -> None:
-        bounds = self.subject.bounds()
+        bounds = self.scene.bounds()
         first = orbit(bounds, [0.0], up=up)[0]
         camera = self.server.initial_camera
         camera.position, camera.look_at = tuple(first.position), tuple(bounds.center)
@@ -139,19 +147,29 @@ class Viewer:
         self._send_pictures()
 
     def _advance(self, seconds: float) -> None:
-        self.clock = (self.clock + seconds / ROUND_TRIP) % 1
-        self.time.value = round((1 - np.cos(2 * np.pi * self.clock)) / 2, 2)
-        if not self.loop.value and self.time.value >= 1:
+        last = len(self.scene.legs)
+        self.clock = (self.clock + seconds / (ROUND_TRIP * last)) % 1
+        self.time.value = round(last * (1 - np.cos(2 * np.pi * self.clock)) / 2, 2)
+        if not self.loop.value and self.time.value >= last:
             self.playing.value, self.clock = False, 0.0
 
+    def place(self) -> tuple[int, float]:
+        """Which morph of the scene is shown, and its own t in [0, 1]."""
+        number = min(int(self.time.value), len(self.legs) - 1)
+        return number, self.time.value - number
+
     def splats(self, wanted: _Drawn) -> Gaussians:
-        """The morph, or one side carried along at full opacity."""
-        morph = self.subject.morph
-        if wanted.part == "morph":
-            if wanted.ramp != morph.ramp:
-                self.subject = replace(self.subject, morph=morph.with_ramp(wanted.ramp))
-            return self.subject.morph.at(wanted.t)
-        return morph.half(int(wanted.part == "target"), wanted.t)
+        """The splat, the morph, or one side carried along at full opacity."""
+        if not self.legs:
+            return self.scene.splats[0]
+        number, t = self.place()
+        leg = self.legs[number]
+        if wanted.part != "morph":
+            return leg.side(wanted.part, t)
+        if wanted.ramp != leg.morph.ramp:
+            # Kept: what a morph finds out about its halves takes a while.
+            leg = self.legs[number] = replace(leg, morph=leg.morph.with_ramp(wanted.ramp))
+        return leg.morph.at(t)
 
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)
@@ -166,21 +184,21 @@ class Viewer:
         )
 
     def _draw_marks(self) -> None:
-        flow, t = self.subject.morph.flow, self.time.value
         self.layers = []
-        for name, points, time, colour in (
-            ("/source landmarks", self.subject.source_points, t, SOURCE_COLOUR),
-            ("/target landmarks", self.subject.target_points, t - 1, TARGET_COLOUR),
+        if not self.legs:
+            return
+        number, t = self.place()
+        colours = SOURCE_COLOUR, TARGET_COLOUR
+        for name, where, colour in zip(
+            ("source", "target"), self.legs[number].marks(t), colours, strict=True
         ):
-            if not len(points):
+            if not len(where):
                 continue
-            with torch.no_grad():
-                where = flow(points, time).numpy(force=True)
             layer = self.server.scene.add_point_cloud(
-                name,
-                where.astype(np.float32),
+                f"/{name} landmarks",
+                where.float().numpy(force=True),
                 colour,
-                point_size=0.012 * self.subject.bounds().radius,
+                point_size=0.012 * self.scene.bounds().radius,
                 point_shape="circle",
                 precision="float32",
                 visible=self.marks.value,

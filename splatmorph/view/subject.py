@@ -41,7 +41,26 @@ class Subject:
 
     def bounds(self) -> Bounds:
         """The sphere round both splats, floaters left out."""
-        return bounds(self.morph.source, self.morph.target)
+        return bounds(self.morph.source, self.end)
+
+    @property
+    def end(self) -> Gaussians:
+        """The target where the morph ends: in its own place, or in the source's."""
+        return self.morph.aligned if self.morph.stay else self.morph.target
+
+    def side(self, part: str, t: float) -> Gaussians:
+        """The ``"source"`` or the ``"target"`` alone at t, carried along at full opacity."""
+        carried = self.morph.half(int(part == "target"), t)
+        return carried if self.morph.stay else carried.moved(self.morph.frame.power(t))
+
+    @torch.no_grad()
+    def marks(self, t: float) -> tuple[Tensor, Tensor]:
+        """The source's and the target's landmarks (k, 3) at t, world units."""
+        flow, frame = self.morph.flow, self.morph.frame
+        away = frame.inverse()
+        place = Similarity.identity() if self.morph.stay else frame.power(t)
+        source, target = flow(self.source_points, t), flow(away(self.target_points), t - 1)
+        return place(source), place(target)
 
 
 def open_subject(folder: str | Path, **options: Any) -> tuple[Subject, Mapping[str, Any]]:

@@ -129,9 +129,8 @@ class Browser:
     def rest(self) -> None:
         """Wait until the picture stands still in full quality, or the page says what is wrong."""
         self.wait(
-            "document.documentElement?.dataset.drawn === 'still' ||"
-            " (document.readyState === 'complete' && document.getElementById('message')"
-            " && !/Unpacking|^$/.test(document.getElementById('message').textContent))"
+            "document.documentElement?.dataset.drawn === 'still'"
+            " || document.querySelector('#waiting.failed')"
         )
 
     def wait(self, condition: str) -> None:

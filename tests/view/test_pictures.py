@@ -25,6 +25,7 @@ from splatmorph.morph import Morph
 from splatmorph.rendering import render
 from splatmorph.view import live, streamlines
 from splatmorph.view.diagnostics import History, determinants, draw_diagnostics
+from splatmorph.view.scene import Scene
 from splatmorph.view.sheet import contact_sheet
 from splatmorph.view.subject import Subject
 
@@ -155,13 +156,13 @@ class TestLive:
     def test_it_says_what_to_install(self, monkeypatch):
         monkeypatch.setitem(sys.modules, "viser", None)
         with pytest.raises(MissingExtraError, match=r"splatmorph\[view\]"):
-            live.serve(subject(20))
+            live.serve(Scene.of(subject(20)))
 
     @pytest.mark.filterwarnings("ignore")
     def test_it_listens_on_this_machine_only_and_follows_the_controls(self):
         if importlib.util.find_spec("viser") is None:
             pytest.skip("viser is not installed (pip install 'splatmorph[view]')")
-        viewer = live.serve(subject(100), port=18431)
+        viewer = live.serve(Scene.of(subject(100)), port=18431)
         try:
             assert viewer.address.startswith("http://127.0.0.1:")
             viewer.step(0.1)

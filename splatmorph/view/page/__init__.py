@@ -1,7 +1,7 @@
-"""The page: one HTML file that shows a morph in any browser, offline.
+"""The page: one HTML file that shows splats and their morphs in any browser, offline.
 
 Viewer and data are one file. Its Content-Security-Policy lets our own script run, by its hash,
-and nothing else: no other script, no connection.
+and pictures that the page itself holds, and nothing else: no other script, no connection.
 """
 
 from __future__ import annotations
@@ -9,27 +9,43 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+import io
 import json
 import re
-import zlib
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
+import torch
+from PIL import Image
 
 from splatmorph._version import __version__
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import atomic_write
-from splatmorph.view.page.pack import pack
-from splatmorph.view.subject import Subject, thin
+from splatmorph.morph.ramps import DEFAULT_RAMP
+from splatmorph.rendering import render
+from splatmorph.view.page.coding import along_curve, one_block
+from splatmorph.view.page.pack import first_camera, pack
+from splatmorph.view.scene import Scene
+from splatmorph.view.subject import thin
 
 MAX_SPLATS = 200_000
 """Default of the most splats a page carries: what a laptop sorts and draws at every frame."""
-SCRIPTS = ("scene.js", "camera.js", "splats.js", "overlay.js", "hands.js", "main.js")
+POSTER_SIZE = 640
+"""Pixels a side of the picture that is seen while the splats are unpacked."""
+SCRIPTS = (
+    "scene.js",
+    "camera.js",
+    "shaders.js",
+    "splats.js",
+    "overlay.js",
+    "hands.js",
+    "player.js",
+    "keep.js",
+    "main.js",
+)
 
 
 @dataclass(frozen=True)
@@ -37,7 +53,7 @@ class PageReport:
     """What became of the splats on their way into the page."""
 
     splats: int
-    """Splats in the page, both sides."""
+    """Splats in the page, all sides."""
     visible: int
     """Splats of the inputs that any rasterizer would draw; more than ``splats``: thinned out."""
     knots: int
@@ -54,18 +70,18 @@ class PageReport:
 
 def write_page(
     path: str | Path,
-    subject: Subject,
+    scene: Scene,
     *,
     up: str = "y",
     background: tuple[float, float, float] | None = None,
     max_splats: int = MAX_SPLATS,
 ) -> PageReport:
-    """Write ``subject`` as one self-contained HTML page.
+    """Write ``scene`` as one self-contained HTML page.
 
     Arguments:
         up: the axis that is up, as ``renderer.orbit`` takes it.
-        background: RGB in [0, 1]; None: a quiet dark grey.
-        max_splats: thin both sides out to this many splats together, those that cover most
+        background: RGB in [0, 1]; None: quiet, dark or light as the reader's system is.
+        max_splats: thin all sides out to this many splats together, those that cover most
             staying.
 
     Raises:
@@ -74,50 +90,54 @@ def write_page(
     """
     if max_splats < 2:
         raise OptionError(f"max_splats is {max_splats}, expected at least 2")
-    inputs = (subject.morph.source, subject.morph.target)
-    visible = [int((side.opacities >= FAINTEST_DRAWN).sum()) for side in inputs]
-    keep = min(1.0, max_splats / max(1, sum(visible)))
+    visible = [int((side.opacities >= FAINTEST_DRAWN).sum()) for side in scene.splats]
+    share = min(1.0, max_splats / max(1, sum(visible)))
     kept = [
-        thin(side, max(1, int(keep * count))) for side, count in zip(inputs, visible, strict=True)
+        _in_order(side, thin(side, max(1, int(share * count))))
+        for side, count in zip(scene.splats, visible, strict=True)
     ]
-    source, target = (side.select(index) for side, index in zip(inputs, kept, strict=True))
-    packed = pack(subject, (kept[0], kept[1]), up)
-    where, payload = _one_block(packed.arrays)
-    report = PageReport(len(source) + len(target), sum(visible), packed.knots, packed.error_px, 0)
-    scene = {
+    counts = [len(index) for index in kept]
+    packed = pack(scene, kept, up)
+    report = PageReport(sum(counts), sum(visible), packed.knots, packed.error_px, 0)
+    tables, payload = one_block(packed.tables)
+    told = {
         **packed.facts,
-        "arrays": where,
-        "source": {"name": subject.source_name, "count": len(source)},
-        "target": {"name": subject.target_name, "count": len(target)},
-        "ramp": subject.morph.ramp,
+        "tables": tables,
+        "splats": [
+            {"name": name, "count": count} for name, count in zip(scene.names, counts, strict=True)
+        ],
+        "ramp": scene.legs[0].morph.ramp if scene.legs else DEFAULT_RAMP,
         "background": _hex(background),
-        "facts": _facts(subject, source, target, report),
-        "about": _about(subject, report),
+        "facts": _facts(scene, counts, report),
+        "about": _about(scene, report),
     }
-    page = _page(subject.title, scene, payload)
+    page = _page(scene.title, told, _poster(scene, up), payload)
     with atomic_write(path) as partial:
         partial.write_text(page, encoding="utf-8")
-    return PageReport(**{**vars(report), "size": len(page.encode())})
+    return replace(report, size=len(page.encode()))
 
 
-def _one_block(arrays: Mapping[str, NDArray[np.generic]]) -> tuple[dict[str, object], str]:
-    """Where each array lies, and all of them deflated and in base64."""
-    where: dict[str, object] = {}
-    block = bytearray()
-    for name, array in arrays.items():
-        block += b"\0" * (-len(block) % 4)
-        where[name] = [array.dtype.str[1:], len(block), array.size]
-        block += np.ascontiguousarray(array).tobytes()
-    return where, base64.b64encode(zlib.compress(block, 9)).decode()
+def _in_order(splats: Gaussians, index: torch.Tensor) -> torch.Tensor:
+    """The same indices, near splats near in memory, so that they pack well."""
+    order = along_curve(splats.means[index].double().numpy(force=True))
+    return index[torch.from_numpy(order)]
 
 
-def _page(title: str, scene: Mapping[str, object], payload: str) -> str:
+def _poster(scene: Scene, up: str) -> str:
+    """The first picture as a data URL, transparent where nothing is."""
+    pixels = render(scene.splats[0], first_camera(scene, up, POSTER_SIZE), background=None)
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "WEBP", quality=80, method=6)
+    return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode()
+
+
+def _page(title: str, scene: Mapping[str, object], poster: str, payload: str) -> str:
     here = files(__package__)
     style = here.joinpath("style.css").read_text(encoding="utf-8")
     script = "\n".join(here.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
     policy = (
         f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
-        "base-uri 'none'; form-action 'none'"
+        "img-src data:; base-uri 'none'; form-action 'none'"
     )
     parts = {
         "version": __version__,
@@ -127,6 +147,7 @@ def _page(title: str, scene: Mapping[str, object], payload: str) -> str:
         "script": script,
         # JSON in a page: nothing in it may end the element that holds it.
         "scene": json.dumps(scene, allow_nan=False).replace("<", "\\u003c"),
+        "poster": poster,
         "payload": payload,
     }
     skeleton = here.joinpath("index.html").read_text(encoding="utf-8")
@@ -143,19 +164,30 @@ def _hex(colour: tuple[float, float, float] | None) -> str | None:
     return "#" + "".join(f"{round(255 * min(max(value, 0), 1)):02x}" for value in colour)
 
 
-def _facts(subject: Subject, source: Gaussians, target: Gaussians, report: PageReport) -> str:
-    parts = [f"{len(source):,} + {len(target):,} splats".replace(",", "\u202f")]
+def _facts(scene: Scene, counts: Sequence[int], report: PageReport) -> str:
+    splats = " + ".join(map(_grouped, counts)) + " splats"
     if report.thinned:
-        parts[0] += f", thinned out from {report.visible:,}".replace(",", "\u202f")
-    if subject.landmark_names:
-        parts.append(f"{len(subject.landmark_names)} landmarks")
+        splats += f", thinned out from {_grouped(report.visible)}"
+    parts = [splats]
+    marks = [str(len(leg.landmark_names)) for leg in scene.legs if leg.landmark_names]
+    if marks:
+        parts.append(f"{' + '.join(marks)} landmarks")
     return " · ".join(parts)
 
 
-def _about(subject: Subject, report: PageReport) -> str:
-    shape = "shapes kept" if subject.morph.covariance == "fixed" else "shapes carried by the flow"
-    return (
-        f"Made by splatmorph {__version__}. Flow {subject.morph.flow.kind}, {shape}. "
-        f"Every splat is within {report.error_px:.2f} pixels of its true path in a picture "
-        f"1080 pixels high ({report.knots} knots). Colours by the constant harmonic."
-    )
+def _grouped(count: int) -> str:
+    return f"{count:,}".replace(",", "\u202f")
+
+
+def _about(scene: Scene, report: PageReport) -> str:
+    parts = [f"Made by splatmorph {__version__}."]
+    if scene.legs:
+        morph = scene.legs[0].morph
+        shape = "shapes kept" if morph.covariance == "fixed" else "shapes carried by the flow"
+        parts.append(
+            f"Flow {morph.flow.kind}, {shape}. Every splat is within {report.error_px:.2f} pixels "
+            f"of its true path in a picture 1080 pixels high ({report.knots} knots)."
+        )
+    if max(side.sh_degree for side in scene.splats) > 1:
+        parts.append("Colours by the harmonics of degree 0 and 1.")
+    return " ".join(parts)

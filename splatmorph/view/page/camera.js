@@ -42,8 +42,25 @@ class OrbitCamera {
     const x = unit(cross(forward, up));
     const rows = [x, cross(forward, x), forward];
     const eye = mix([this.center, out], [1, this.distance]);
-    return { rows, shift: rows.map((row) => -dot(row, eye)), focal: Math.min(width, height - below) / 2 / Math.tan(fov / 2), middle: [width / 2, (height - below) / 2], width, height };
+    return { rows, eye, near: this.first.near, shift: rows.map((row) => -dot(row, eye)), focal: Math.min(width, height - below) / 2 / Math.tan(fov / 2), middle: [width / 2, (height - below) / 2], width, height };
   }
+}
+
+// The view of what stands at s R x + t, as one of what stands at x: a similarity of the world is a
+// move of the camera. Its matrix (3 × 4) is a polynomial in time.
+function movedView(view, frame, t) {
+  if (!frame) return view;
+  const weights = knotWeights(frame.knots, t);
+  // Its columns: where the axes go, and the shift.
+  const [x, y, z, shift] = [0, 1, 2, 3].map((i) => [0, 1, 2].map((line) => weights.reduce((sum, w, k) => sum + w * frame.rows[k][line][i], 0)));
+  const axes = [x, y, z];
+  const scale = Math.cbrt(dot(x, cross(y, z)));
+  const rows = view.rows.map((row) => axes.map((axis) => dot(row, axis) / scale));
+  return {
+    ...view, rows, near: view.near / scale,
+    shift: view.rows.map((row, i) => (dot(row, shift) + view.shift[i]) / scale),
+    eye: axes.map((axis) => dot(axis, mix([view.eye, shift], [1, -1])) / (scale * scale)),
+  };
 }
 
 function project(view, point) {

@@ -4,6 +4,8 @@ const TURN = 0.007;
 
 function followHands(canvas, camera, { changed, hovered }) {
   const fingers = new Map();
+  // A finger hides what it points at: it reaches farther.
+  const pointer = (event) => ({ x: event.clientX, y: event.clientY, reach: event.pointerType === "touch" ? 22 : 8 });
   const spread = () => {
     const [a, b] = [...fingers.values()];
     return { x: (a.x + b.x) / 2, y: (a.y + b.y) / 2, width: Math.hypot(a.x - b.x, a.y - b.y) };
@@ -12,6 +14,7 @@ function followHands(canvas, camera, { changed, hovered }) {
   canvas.addEventListener("pointerdown", (event) => {
     canvas.setPointerCapture(event.pointerId);
     fingers.set(event.pointerId, { x: event.clientX, y: event.clientY });
+    hovered(pointer(event));
   });
   for (const end of ["pointerup", "pointercancel"]) {
     canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
@@ -19,7 +22,7 @@ function followHands(canvas, camera, { changed, hovered }) {
   canvas.addEventListener("pointermove", (event) => {
     const last = fingers.get(event.pointerId);
     const now = { x: event.clientX, y: event.clientY };
-    if (!last) return hovered(now);
+    if (!last) return hovered(pointer(event));
     if (fingers.size === 2) {
       const before = spread();
       fingers.set(event.pointerId, now);
@@ -37,6 +40,8 @@ function followHands(canvas, camera, { changed, hovered }) {
   canvas.addEventListener("pointerleave", () => hovered(null));
   canvas.addEventListener("contextmenu", (event) => event.preventDefault());
   canvas.addEventListener("wheel", (event) => {
+    // Inside another page the wheel scrolls that page, unless asked not to.
+    if (document.body.classList.contains("embed") && !event.ctrlKey && document.activeElement !== canvas) return;
     event.preventDefault();
     camera.zoom(Math.exp(Math.sign(event.deltaY) * Math.min(Math.abs(event.deltaY), 60) * 0.002));
     changed();

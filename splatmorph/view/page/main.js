@@ -1,187 +1,16 @@
-// The page: what is shown, the controls that change it, and the loop that draws it.
+// The page: its controls, and what they tell the player.
 
 const $ = (id) => document.getElementById(id);
-const ROUND_TRIP = 6000; // ms from source to target and back
-const REST = 700; // ms a playing morph dwells at either end
-const SLOW = 45; // ms a frame, above which moving pictures are drawn coarser
-const GROUNDS = ["#15161a", "#7b7c80", "#f2f1ee"];
+const GROUNDS = ["#15161a", "#f2f1ee", "#b6b7bb", "#ffffff", "#000000"];
+const SPEEDS = [0.25, 0.5, 1, 2, 4];
+const TOAST = 2500; // ms a message stays
 
-function timeAt(phase) {
-  // 0 → 1 → 0 over one round trip, slow at the ends, resting there.
-  const folded = phase < 0.5 ? 2 * phase : 2 - 2 * phase;
-  const pause = REST / ROUND_TRIP;
-  const s = Math.max(0, Math.min(1, (folded - pause) / (1 - 2 * pause)));
-  return s * s * (3 - 2 * s);
-}
+const toggled = (name) => document.body.classList.toggle(name);
+const has = (name) => document.body.classList.contains(name);
 
-function phaseAt(t) {
-  let [low, high] = [0, 0.5];
-  for (let i = 0; i < 30; i++) {
-    const middle = (low + high) / 2;
-    if (timeAt(middle) < t) low = middle;
-    else high = middle;
-  }
-  return high;
-}
-
-function describe(scene) {
-  $("source-name").textContent = scene.source.name;
-  $("target-name").textContent = scene.target.name;
-  $("facts").textContent = scene.facts;
-  $("about").textContent = scene.about;
-  scene.rampNames.forEach((name) => $("ramp").add(new Option(name, name)));
-  $("marks").hidden = !scene.landmarks.names.length;
-  $("loop").disabled = $("play").disabled = false;
-}
-
-function start(scene) {
-  const camera = new OrbitCamera(scene.camera);
-  const painter = new SplatPainter($("splats"), scene);
-  const overlay = new LandmarkOverlay($("overlay"), $("tip"), scene);
-  const grounds = scene.background ? [scene.background, ...GROUNDS] : GROUNDS;
-  const state = { t: 0, ramp: Math.max(0, scene.rampNames.indexOf(scene.ramp)), part: "morph", marks: false, loop: true, playing: false, ground: 0 };
-  const pace = { phase: 0, last: 0, coarse: 1, took: 0, moved: 0, queued: false };
-
-  const changed = () => {
-    pace.moved = performance.now();
-    document.documentElement.dataset.drawn = "moving";
-    queue();
-  };
-  const queue = () => {
-    if (pace.queued) return;
-    pace.queued = true;
-    requestAnimationFrame(frame);
-  };
-
-  function set(values) {
-    Object.assign(state, values);
-    state.t = Math.max(0, Math.min(1, state.t));
-    if ("t" in values) pace.phase = phaseAt(state.t);
-    if (values.playing) pace.phase = state.t >= 0.999 && !state.loop ? 0 : phaseAt(state.t);
-    document.body.classList.toggle("playing", state.playing);
-    $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
-    $("ramp").value = scene.rampNames[state.ramp];
-    $("marks").setAttribute("aria-pressed", state.marks);
-    $("loop").setAttribute("aria-pressed", state.loop);
-    document.querySelector(`input[name=part][value=${state.part}]`).checked = true;
-    const ground = grounds[state.ground % grounds.length];
-    document.documentElement.style.setProperty("--ground", ground);
-    document.body.classList.toggle("light-ground", luminance(ground) > 0.4);
-    changed();
-  }
-
-  function advance(now) {
-    if (!state.playing) return;
-    pace.phase += Math.min(now - pace.last, 200) / ROUND_TRIP;
-    if (!state.loop && pace.phase >= 0.5) {
-      pace.phase = 0.5;
-      set({ playing: false });
-    }
-    pace.phase %= 1;
-    state.t = timeAt(pace.phase);
-  }
-
-  // A picture in motion gives up pixels where the device is slow; at rest it is drawn in full.
-  function ratio(now, moving) {
-    if (moving && pace.last) {
-      pace.took = Math.min(now - pace.last, 500);
-      if (pace.took > SLOW) pace.coarse = Math.max(0.35, pace.coarse * Math.max(0.6, Math.sqrt(SLOW / pace.took)));
-      else if (pace.took < SLOW / 2) pace.coarse = Math.min(1, pace.coarse * 1.05);
-    }
-    return Math.min(devicePixelRatio, 2) * (moving ? pace.coarse : 1);
-  }
-
-  function frame(now) {
-    pace.queued = false;
-    // A slow device gets a few coarse pictures before it is taken to be at rest.
-    const moving = state.playing || now - pace.moved < Math.max(160, 2.5 * pace.took);
-    advance(now);
-    const scale = ratio(now, moving);
-    pace.last = moving ? now : 0;
-    const { canvas } = painter;
-    const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((side) => Math.max(1, Math.round(side * scale)));
-    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
-    const below = covered();
-    painter.draw(camera.view(width, height, below * scale), state);
-    const full = Math.min(devicePixelRatio, 2);
-    overlay.draw(camera.view(canvas.clientWidth * full, canvas.clientHeight * full, below * full), full, state);
-    $("time").value = state.t;
-    $("reading").textContent = state.t.toFixed(2);
-    document.documentElement.dataset.drawn = moving ? "moving" : "still";
-    if (moving) queue();
-  }
-
-  // CSS pixels that the controls take from the bottom of the picture.
-  function covered() {
-    return document.body.classList.contains("bare") ? 0 : innerHeight - $("controls").getBoundingClientRect().top;
-  }
-
-  function readAddress() {
-    const given = new URLSearchParams(location.hash.slice(1));
-    const radians = (key) => Number(given.get(key)) * Math.PI / 180;
-    camera.reset();
-    if (given.has("azimuth")) camera.azimuth = radians("azimuth");
-    if (given.has("elevation")) camera.elevation = radians("elevation");
-    if (given.has("zoom")) camera.distance /= Math.max(0.05, Number(given.get("zoom")) || 1);
-    document.body.classList.toggle("bare", given.get("controls") === "0");
-    const ramp = scene.rampNames.indexOf(given.get("ramp"));
-    const part = ["source", "morph", "target"].find((name) => name === given.get("part"));
-    set({
-      t: Number(given.get("t")) || 0,
-      ramp: ramp < 0 ? state.ramp : ramp,
-      part: part ?? "morph",
-      marks: given.get("landmarks") === "1",
-      playing: given.get("play") === "1",
-    });
-  }
-
-  describe(scene);
-  followHands($("splats"), camera, { changed, hovered: (pointer) => overlay.point(pointer) });
-  const turn = (right, up) => () => {
-    camera.turn(right, up);
-    changed();
-  };
-  const zoom = (factor) => () => {
-    camera.zoom(factor);
-    changed();
-  };
-  const actions = {
-    play: () => set({ playing: !state.playing }),
-    loop: () => set({ loop: !state.loop }),
-    marks: () => set({ marks: !state.marks && scene.landmarks.names.length > 0 }),
-    ground: () => set({ ground: state.ground + 1 }),
-    ramp: () => set({ ramp: (state.ramp + 1) % scene.rampNames.length }),
-    home: () => {
-      camera.reset();
-      changed();
-    },
-    help: () => $("keys").showModal(),
-  };
-  followKeys({
-    " ": actions.play, o: actions.loop, l: actions.marks, b: actions.ground, r: actions.ramp, 0: actions.home, "?": actions.help,
-    1: () => set({ part: "source" }), 2: () => set({ part: "morph" }), 3: () => set({ part: "target" }),
-    ",": () => set({ t: state.t - 0.01, playing: false }), ".": () => set({ t: state.t + 0.01, playing: false }),
-    ArrowLeft: turn(0.08, 0), ArrowRight: turn(-0.08, 0), ArrowUp: turn(0, 0.08), ArrowDown: turn(0, -0.08),
-    "+": zoom(0.9), "=": zoom(0.9), "-": zoom(1 / 0.9),
-    h: () => {
-      document.body.classList.toggle("bare");
-      changed();
-    },
-  });
-  for (const id of ["play", "loop", "marks", "ground", "home", "help"]) $(id).addEventListener("click", actions[id]);
-  $("time").addEventListener("input", () => set({ t: Number($("time").value), playing: false }));
-  $("ramp").addEventListener("change", () => set({ ramp: $("ramp").selectedIndex }));
-  document.querySelectorAll("input[name=part]").forEach((radio) => radio.addEventListener("change", () => set({ part: radio.value })));
-  $("splats").addEventListener("webglcontextlost", (event) => event.preventDefault());
-  $("splats").addEventListener("webglcontextrestored", () => {
-    painter.prepare();
-    changed();
-  });
-  addEventListener("resize", changed);
-  addEventListener("hashchange", readAddress);
-  readAddress();
-  // For scripts: what a rasterizer needs to draw the same picture.
-  window.splatmorph = { set, state, view: () => camera.view(painter.canvas.width, painter.canvas.height, covered()) };
+function groundsOf(scene) {
+  const usual = matchMedia("(prefers-color-scheme: light)").matches ? GROUNDS[1] : GROUNDS[0];
+  return [...new Set([scene.background ?? usual, ...GROUNDS])];
 }
 
 function luminance(colour) {
@@ -189,10 +18,203 @@ function luminance(colour) {
   return 0.3 * r + 0.6 * g + 0.1 * b;
 }
 
+function describe(scene) {
+  scene.splats.forEach(({ name }, i) => {
+    const label = Object.assign(document.createElement("span"), { textContent: name });
+    label.className = i === 0 ? "source" : i === scene.last ? "target" : "";
+    if (i) $("names").append(Object.assign(document.createElement("span"), { className: "arrow", textContent: " → " }));
+    $("names").append(label);
+  });
+  $("facts").textContent = scene.facts;
+  $("about").textContent = scene.about;
+  $("time").max = scene.last;
+  $("time").step = 0.001;
+  scene.rampNames.forEach((name) => $("ramp").add(new Option(name, name)));
+  SPEEDS.forEach((speed) => $("speed").add(new Option(`${speed}×`, speed)));
+  document.body.classList.toggle("alone", !scene.last);
+  $("marks").hidden = !scene.legs.some((leg) => leg.landmarks.names.length);
+  $("record").hidden = !Recorder.format;
+  $("fullscreen").hidden = !document.fullscreenEnabled;
+  $("splats").setAttribute("aria-label", `${document.title}. Drag or use the arrow keys to turn, scroll or + and − to zoom.`);
+}
+
+// Brings every control in line with the state.
+function showState(scene, state) {
+  const press = (id, on) => $(id).setAttribute("aria-pressed", on);
+  document.body.classList.toggle("playing", state.playing);
+  $("play").setAttribute("aria-label", state.playing ? "Pause" : "Play");
+  $("ramp").value = scene.rampNames[state.ramp];
+  const speed = SPEEDS.includes(state.speed) ? state.speed : 1;
+  $("speed").value = speed;
+  press("marks", state.marks);
+  press("loop", state.loop);
+  press("spin", state.spin);
+  document.querySelector(`input[name=part][value=${state.part}]`).checked = true;
+  document.documentElement.style.setProperty("--ground", state.ground);
+  document.body.classList.toggle("light", luminance(state.ground) > 0.4);
+}
+
+function showTime(scene, t) {
+  const { leg, t: local } = legAt(scene, t);
+  const [from, to] = [scene.splats[leg.index], scene.splats[leg.index + 1]];
+  $("time").value = t;
+  $("reading").textContent = t.toFixed(2);
+  if (to) $("time").setAttribute("aria-valuetext", `t = ${t.toFixed(2)}, ${Math.round(100 * local)} % of the way from ${from.name} to ${to.name}`);
+}
+
+let toast = 0;
+function say(text) {
+  clearTimeout(toast);
+  $("toast").textContent = text;
+  toast = setTimeout(() => $("toast").replaceChildren(), TOAST);
+}
+
+// CSS pixels that the controls take from the bottom of the picture.
+function covered() {
+  return has("bare") ? 0 : innerHeight - $("controls").getBoundingClientRect().top;
+}
+
+function start(scene) {
+  const camera = new OrbitCamera(scene.camera);
+  const painter = new SplatPainter($("splats"), scene);
+  const overlay = new LandmarkOverlay($("overlay"), $("tip"), scene);
+  const grounds = groundsOf(scene);
+  const player = new Player(scene, painter, overlay, camera, {
+    ground: grounds[0],
+    covered,
+    shown: (state) => showState(scene, state),
+    drawn: (still) => {
+      showTime(scene, player.state.t);
+      keeping.recorder?.draw();
+      if (still) keeping.remember();
+    },
+  });
+  const keeping = keeper(player);
+  describe(scene);
+  const actions = actionsOf(player, keeping, grounds);
+  connect(player, actions);
+  followHands($("splats"), camera, { changed: () => player.changed(), hovered: (pointer) => overlay.point(pointer) });
+  followKeys(keysOf(player, actions));
+  readAddress(player, location.hash);
+  // For scripts and tests.
+  window.splatmorph = { state: player.state, set: (values) => player.set(values), view: () => player.view() };
+}
+
+// Links, pictures, videos and prints of what ``player`` shows.
+function keeper(player) {
+  const { scene, state } = player;
+  const nameOf = (ending) => `${scene.splats.map((side) => side.name).join("-")}${scene.last ? `-t${state.t.toFixed(2)}` : ""}.${ending}`;
+  const keeping = {
+    recorder: null,
+    remember: () => {
+      const hash = addressOf(player, has("bare"), has("embed"));
+      if (hash === location.hash.slice(1)) return;
+      try {
+        history.replaceState(null, "", `#${hash}`);
+      } catch {
+        // A page inside a page may have no address of its own.
+      }
+    },
+    copy: async () => {
+      keeping.remember();
+      say(await copyText(location.href) ? "Link copied" : "The link is in the address bar");
+    },
+    save: () => picture(player, state.ground).toBlob((blob) => {
+      download(blob, nameOf("png"));
+      say("Picture saved");
+    }),
+    record: () => {
+      if (keeping.recorder) return keeping.recorder.stop();
+      player.set(scene.last ? { t: 0, playing: true, loop: true } : { spin: true });
+      player.draw(1);
+      keeping.recorder = new Recorder(player, state.ground, (video, ending) => {
+        keeping.recorder = null;
+        $("record").setAttribute("aria-pressed", false);
+        player.set({ playing: false, spin: false });
+        download(video, nameOf(ending));
+        say("Video saved");
+      });
+      $("record").setAttribute("aria-pressed", true);
+      say("Recording: once there and back");
+    },
+    print: () => $("paper").replaceChildren(...printOut(player, document.title, scene.facts)),
+  };
+  return keeping;
+}
+
+function actionsOf(player, keeping, grounds) {
+  const { scene, state, camera } = player;
+  return {
+    play: () => player.set({ playing: !state.playing }),
+    loop: () => player.set({ loop: !state.loop }),
+    spin: () => player.set({ spin: !state.spin }),
+    marks: () => player.set({ marks: !state.marks && !$("marks").hidden }),
+    ground: () => player.set({ ground: grounds[(grounds.indexOf(state.ground) + 1) % grounds.length] }),
+    home: () => {
+      camera.reset();
+      player.changed();
+    },
+    help: () => $("keys").showModal(),
+    fullscreen: () => (document.fullscreenElement ? document.exitFullscreen() : document.documentElement.requestFullscreen()),
+    copy: keeping.copy,
+    save: keeping.save,
+    record: keeping.record,
+    print: keeping.print,
+    ramp: () => player.set({ ramp: (state.ramp + 1) % scene.rampNames.length }),
+  };
+}
+
+function connect(player, actions) {
+  for (const [id, action] of Object.entries(actions)) {
+    if ($(id)?.matches("button")) $(id).addEventListener("click", action);
+  }
+  $("time").addEventListener("input", () => player.set({ t: Number($("time").value), playing: false }));
+  $("ramp").addEventListener("change", () => player.set({ ramp: $("ramp").selectedIndex }));
+  $("speed").addEventListener("change", () => player.set({ speed: Number($("speed").value) }));
+  document.querySelectorAll("input[name=part]").forEach((radio) => radio.addEventListener("change", () => player.set({ part: radio.value })));
+  $("splats").addEventListener("webglcontextlost", (event) => event.preventDefault());
+  $("splats").addEventListener("webglcontextrestored", () => {
+    player.painter.prepare();
+    player.changed();
+  });
+  addEventListener("resize", () => player.changed());
+  addEventListener("beforeprint", actions.print);
+  addEventListener("hashchange", () => readAddress(player, location.hash));
+}
+
+function keysOf(player, actions) {
+  const { camera, state } = player;
+  const turn = (right, up) => () => {
+    camera.turn(right, up);
+    player.changed();
+  };
+  const zoom = (factor) => () => {
+    camera.zoom(factor);
+    player.changed();
+  };
+  const faster = (step) => () => {
+    const place = SPEEDS.indexOf(state.speed) + step;
+    if (place in SPEEDS) player.set({ speed: SPEEDS[place] });
+  };
+  return {
+    " ": actions.play, o: actions.loop, l: actions.marks, b: actions.ground, r: actions.ramp, 0: actions.home, "?": actions.help,
+    a: actions.spin, f: actions.fullscreen, c: actions.copy, s: actions.save, v: actions.record,
+    1: () => player.set({ part: "source" }), 2: () => player.set({ part: "morph" }), 3: () => player.set({ part: "target" }),
+    ",": () => player.set({ t: state.t - 0.01, playing: false }), ".": () => player.set({ t: state.t + 0.01, playing: false }),
+    ArrowLeft: turn(0.08, 0), ArrowRight: turn(-0.08, 0), ArrowUp: turn(0, 0.08), ArrowDown: turn(0, -0.08),
+    "+": zoom(0.9), "=": zoom(0.9), "-": zoom(1 / 0.9), "[": faster(-1), "]": faster(1),
+    h: () => {
+      toggled("bare");
+      player.changed();
+    },
+  };
+}
+
 try {
-  start(await readScene());
-  $("message").replaceChildren();
+  start(await readScene((share) => { $("progress").value = share; }));
+  $("waiting").remove();
 } catch (error) {
+  $("waiting").classList.add("failed");
   $("message").textContent = error.message;
   console.error(error);
 }
