@@ -23,7 +23,7 @@ from renderer.cameras import (
 from renderer.errors import ArgumentError, CameraFileError, OutputError, RenderError
 from renderer.rasterize import gather, rasterize
 from renderer.reference import rasterize_reference
-from renderer.video import to_bytes, write_image, write_video
+from renderer.video import check_output, to_bytes, write_image, write_video
 
 __all__ = [
     "ArgumentError",
@@ -34,6 +34,7 @@ __all__ = [
     "RenderError",
     "bounds_of",
     "camera_path",
+    "check_output",
     "gather",
     "look_at",
     "orbit",

@@ -7,10 +7,12 @@ thread of its own while the next frames are made; at most ``QUEUE`` frames wait 
 from __future__ import annotations
 
 import contextlib
-import os
+import io
 import queue
 import re
 import shutil
+import subprocess
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -20,6 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from renderer.beside import beside
 from renderer.errors import OutputError
 
 Frame = NDArray[np.uint8]
@@ -28,17 +31,10 @@ Sink = Callable[[Frame], None]
 QUEUE = 8
 FRAME = re.compile(r"frame_\d+\.png")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+H264 = "-c:v libx264 -pix_fmt yuv420p -qp 10".split()
+# Constant quality, at the speed that ffmpeg's manual gives for films.
+VP9 = "-c:v libvpx-vp9 -pix_fmt yuv420p -crf 24 -b:v 0 -deadline good -cpu-used 4".split()
 VIDEOS = (".mp4", ".mov", ".mkv", ".webm")
-
-H264: dict[str, Any] = {"quality": 8}
-VP9: dict[str, Any] = {
-    "codec": "libvpx-vp9",
-    "quality": None,
-    # Constant quality, at the speed that ffmpeg's manual gives for films.
-    "output_params": ["-crf", "24", "-b:v", "0", "-deadline", "good", "-cpu-used", "4"],
-}
-ENCODINGS = {".webm": VP9}
-"""By extension where it is not H.264: what a container takes."""
 
 
 def to_bytes(picture: ArrayLike) -> Frame:
@@ -119,20 +115,27 @@ def write_video(
 @contextlib.contextmanager
 def _beside(path: Path) -> Iterator[Path]:
     """A temporary neighbour that takes the place of ``path`` when all went well."""
-    partial = path.with_name(f".partial-{os.getpid()}-{path.name}")
+    check_output(path)
     try:
-        yield partial
-        if partial.is_dir() and path.is_dir():
-            _remove_frames(path)
-        partial.replace(path)
+        with beside(path) as partial:
+            yield partial
+            if partial.is_dir() and path.is_dir():
+                _remove_frames(path)
     except OSError as error:
         raise OutputError(f"{path}: can't be written: {error.strerror or error}") from error
-    finally:
-        if partial.is_dir():
-            shutil.rmtree(partial, ignore_errors=True)
-        else:
-            with contextlib.suppress(OSError):
-                partial.unlink(missing_ok=True)
+
+
+def check_output(path: str | Path) -> None:
+    """Refuse a path that no picture or frames can be written to, before any are made.
+
+    Raises OutputError: an extension that is none of ours, or a folder that isn't there.
+    """
+    path = Path(path)
+    known = (*PICTURES, *VIDEOS, ".gif", "")
+    if path.suffix.lower() not in known:
+        raise OutputError(f"{path}: expected {', '.join(known[:-1])} or a folder")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path}: its folder does not exist: make it first")
 
 
 def _remove_frames(folder: Path) -> None:
@@ -198,32 +201,89 @@ def _has_ffmpeg() -> bool:
         return False
 
 
-@contextlib.contextmanager
-def _ffmpeg(path: Path, fps: float) -> Iterator[Sink]:
-    import imageio_ffmpeg
+class _Encoder:
+    """ffmpeg, fed with frames; the file is read back before it counts as written."""
 
-    stream: Any = None
+    def __init__(self, path: Path, fps: float) -> None:
+        self.path, self.fps = path, fps
+        self.process: subprocess.Popen[bytes] | None = None
+        self.said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with the encoder
+        self.count = 0
 
-    def send(frame: Frame) -> None:
-        nonlocal stream
+    def send(self, frame: Frame) -> None:
         height, width = frame.shape[:2]
         if height % 2 or width % 2:
             frame = np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
-        if stream is None:
-            stream = imageio_ffmpeg.write_frames(
-                str(path), frame.shape[1::-1], fps=fps, macro_block_size=2,
-                ffmpeg_log_level="error", **ENCODINGS.get(path.suffix.lower(), H264),
-            )  # fmt: skip
-            stream.send(None)
-        stream.send(np.ascontiguousarray(frame))
+        if self.process is None:
+            self.process = self._start(frame.shape[1], frame.shape[0])
+        assert self.process.stdin is not None
+        try:
+            self.process.stdin.write(np.ascontiguousarray(frame).data)
+        except BrokenPipeError:
+            self.process.wait()
+            raise OutputError(f"{self.path.name}: {self._complaint()}") from None
+        self.count += 1
 
+    def _start(self, width: int, height: int) -> subprocess.Popen[bytes]:
+        from imageio_ffmpeg import get_ffmpeg_exe
+
+        codec = VP9 if self.path.suffix.lower() == ".webm" else H264
+        command = [get_ffmpeg_exe(), "-y", "-v", "error", "-f", "rawvideo", "-pix_fmt", "rgb24"]
+        command += ["-s", f"{width}x{height}", "-r", f"{self.fps:.6g}", "-i", "-", "-an", *codec]
+        # As a file: a colon in its name would make it a protocol. In a session of its own, so
+        # that Ctrl-C is ours to handle.
+        return subprocess.Popen(
+            [*command, f"file:{self.path}"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=self.said,
+            start_new_session=True,
+        )
+
+    def finish(self) -> None:
+        """Close the file and make sure that it plays."""
+        from imageio_ffmpeg import count_frames_and_secs
+
+        if self.process is None:
+            return
+        self.close()
+        if self.process.returncode:
+            raise OutputError(f"{self.path.name}: {self._complaint()}")
+        try:
+            found, _ = count_frames_and_secs(str(self.path))
+        except RuntimeError:
+            found = 0
+        if found != self.count:
+            raise OutputError(
+                f"{self.path.name}: holds {found} of {self.count} frames after encoding; is there "
+                "room on the disk?"
+            )
+
+    def close(self) -> None:
+        """End ffmpeg, whatever it has written."""
+        if self.process is not None and self.process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self.process.stdin.close()
+            self.process.wait()
+
+    def _complaint(self) -> str:
+        self.said.seek(0)
+        lines = self.said.read().decode(errors="replace").split("\n")
+        full = next((line for line in lines if "No space left" in line), None)
+        if full:
+            return "can't be written: the disk is full; free some space first"
+        return f"ffmpeg failed: {next(filter(None, lines), 'it said nothing')}"
+
+
+@contextlib.contextmanager
+def _ffmpeg(path: Path, fps: float) -> Iterator[Sink]:
+    encoder = _Encoder(path, fps)
     try:
-        yield send
+        yield encoder.send
+        encoder.finish()
     finally:
-        if stream is not None:
-            stream.close()
-    if not path.exists() or path.stat().st_size == 0:
-        raise OutputError(f"{path.name}: ffmpeg wrote nothing; is there room on the disk?")
+        encoder.close()
+        encoder.said.close()
 
 
 @contextlib.contextmanager
@@ -233,8 +293,11 @@ def _gif(path: Path, fps: float) -> Iterator[Sink]:
     # A gif counts hundredths of a second, and players slow down what is below two of them.
     duration = max(20, round(100 / fps) * 10)
     writer: Any
-    with imageio.get_writer(path, format="GIF", duration=duration, loop=0) as writer:
+    # In memory, since the writer complains once more, too late, where the disk is full.
+    made = io.BytesIO()
+    with imageio.get_writer(made, format="GIF", duration=duration, loop=0) as writer:
         yield writer.append_data
+    path.write_bytes(made.getvalue())
 
 
 def _folder(path: Path) -> Sink:

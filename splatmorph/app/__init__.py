@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
+import signal
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
@@ -31,7 +34,7 @@ def _commands() -> dict[str, str]:
 
 COMMANDS = _commands()
 
-USAGE, FAILED, INTERRUPTED = 2, 1, 130
+USAGE, FAILED, TERMINATED = 2, 1, 143
 
 app = App(
     name="splatmorph",
@@ -88,11 +91,17 @@ def run(tokens: Sequence[str] | None = None) -> int:
         # The reader of our output has gone (`| head`); Python would complain at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FAILED
+    except _TerminatedError:
+        console.fail("terminated")
+        return TERMINATED
     except KeyboardInterrupt:
         console.fail("interrupted")
-        return INTERRUPTED
+        return console.INTERRUPTED
     except MemoryError:
         return _failed("out of memory: try a smaller --size, or fewer splats")
+    except OSError as error:
+        place = f"{error.filename}: " if error.filename else ""
+        return _failed(f"{place}{error.strerror or error}")
     except Exception as error:
         return _failed(
             f"unexpected {type(error).__name__}: {error} "
@@ -102,7 +111,28 @@ def run(tokens: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """The entry point ``splatmorph``."""
-    sys.exit(run())
+    console.speak_plainly()
+    # What libraries warn of is no part of our lines.
+    warnings.simplefilter("ignore")
+    logging.getLogger().addHandler(logging.NullHandler())
+    signal.signal(signal.SIGTERM, _terminate)
+    code = run()
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except OSError:
+        # Full, or gone: said by the exit code, lest Python complains once more.
+        sys.stdout = None
+        code = code or FAILED
+    sys.exit(code)
+
+
+class _TerminatedError(KeyboardInterrupt):
+    """SIGTERM, which is handled as Ctrl-C is."""
+
+
+def _terminate(*_: object) -> None:
+    raise _TerminatedError
 
 
 def _failed(message: str) -> int:

@@ -92,8 +92,7 @@ def bake(
 
 
 def _write_track(avatar: Avatar, track: Track, folder: Path, overwrite: bool) -> None:
-    console.claim(folder / INDEX, overwrite)
-    make_folder(folder)
+    console.claim(make_folder(folder) / INDEX, overwrite)
     rows = []
     with console.progress("baking") as update:
         for frame, gaussians in enumerate(baked(avatar.rig, track)):

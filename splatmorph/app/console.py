@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
+import io
 import json
 import logging
 import re
+import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +25,12 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from splatmorph.errors import OutputExistsError
+from splatmorph.errors import OutputExistsError, WriteError
 
 if TYPE_CHECKING:
     from splatmorph.fitting import FitProgress
 
+INTERRUPTED = 130
 MISSED = 3
 """Exit code of a command whose morph doesn't meet what was asked."""
 
@@ -35,6 +39,25 @@ err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 SHORT = {"out": "-o", "overwrite": "-w"}
 """Options that people know by one letter."""
+
+
+PLAIN = {"→": "->", "×": "x", "Φ": "Phi", "∂": "d", "²": "^2", "°": " deg", "±": "+-", "…": "..."}
+"""ASCII for what some terminals can't show."""
+
+
+def speak_plainly() -> None:
+    """Let no letter that the terminal lacks end a command whose work is done."""
+
+    def plain(error: UnicodeError) -> tuple[str, int]:
+        if not isinstance(error, UnicodeEncodeError):
+            raise error
+        lacking = error.object[error.start : error.end]
+        return "".join(PLAIN.get(letter, "?") for letter in lacking), error.end
+
+    codecs.register_error("plain", plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="plain")
 
 
 @dataclass
@@ -70,7 +93,8 @@ def warn(message: str) -> None:
 
 def fail(message: str) -> None:
     """Print the one line of an error to stderr, whatever the manner."""
-    err.print(f"error: {spoken(message)}", style="red", markup=False)
+    line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in spoken(message))
+    err.print(f"error: {line}", style="red", markup=False)
 
 
 def spoken(message: object) -> str:
@@ -148,7 +172,10 @@ def claim(path: Path, overwrite: bool) -> Path:
 
     Raises:
         OutputExistsError: something is there and ``overwrite`` is off.
+        WriteError: its folder is not there.
     """
+    if not path.parent.is_dir():
+        raise WriteError(f"can't write {path}: its folder does not exist, make it first")
     if path.exists() and not overwrite:
         raise OutputExistsError(
             f"{path} is already there: give -w to overwrite it, or -o to write elsewhere"

@@ -103,6 +103,8 @@ def fit(
     for warning in warnings:
         console.warn(warning)
     _summarise(asked, run, folder)
+    if any(leg.report["interrupted"] for leg in run.legs):
+        return console.INTERRUPTED
     return console.MISSED if missed else 0
 
 

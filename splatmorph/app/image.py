@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import torch
 from cyclopts import Parameter
 
-from renderer import write_image, write_video
+from renderer import check_output, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import Json, Out, Overwrite, Seed, SizeOption, TimesOption
 from splatmorph.app.render import STILLS, WITH_ALPHA, frame_times
@@ -126,7 +126,7 @@ def image(
     path = out or Path(f"{source.stem}-{target.stem}.mp4")
     for written in (path, sheet, grid):
         if written is not None:
-            console.claim(written, overwrite)
+            check_output(console.claim(written, overwrite))
     count = 1 if path.suffix.lower() in STILLS else frames
     times = frame_times(t, count)
     pictures = (Picture.read(source, max_pixels), Picture.read(target, max_pixels))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from renderer import Camera, orbit, read_cameras, write_image, write_video
+from renderer import Camera, check_output, orbit, read_cameras, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import (
     DEFAULT_BLENDING,
@@ -83,6 +83,7 @@ def render(
     """
     ending = "-sheet.png" if sheet else ".mp4"
     path = console.claim(out or Path(f"{what.resolve().stem}{ending}"), overwrite)
+    check_output(path)
     kind = path.suffix.lower()
     if background is None and kind not in WITH_ALPHA:
         raise OptionError(f"{path.name} can't be transparent: write a .png or a folder of frames")

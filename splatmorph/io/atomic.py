@@ -5,14 +5,12 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
-import os
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from renderer.beside import beside
 from splatmorph.errors import WriteError
-
-PARTIAL = ".partial-"
 
 
 @contextlib.contextmanager
@@ -28,15 +26,11 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     if path.is_dir():
         raise WriteError(f"{path} is a directory, expected a file name to write to")
-    partial = path.with_name(f".{path.stem}{PARTIAL}{os.getpid()}{path.suffix}")
     try:
-        yield partial
-        partial.replace(path)
+        with beside(path) as partial:
+            yield partial
     except OSError as error:
         raise WriteError(f"can't write {path}: {_reason(error)}") from error
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
 
 
 def write_json(path: str | Path, value: Mapping[str, Any]) -> None:
@@ -61,13 +55,6 @@ def make_folder(path: str | Path) -> Path:
     except OSError as error:
         raise WriteError(f"can't make the folder {path}: {_reason(error)}") from error
     return path
-
-
-def remove_partials(folder: Path) -> None:
-    """Remove what an earlier process, killed while writing, left in ``folder``."""
-    for leftover in folder.glob(f".*{PARTIAL}*"):
-        with contextlib.suppress(OSError):
-            leftover.unlink()
 
 
 def _reason(error: OSError) -> str:

@@ -11,10 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from renderer.beside import remove_strays
 from splatmorph import io
 from splatmorph.errors import OutputExistsError, ReadError, WriteError
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
-from splatmorph.io.atomic import make_folder, remove_partials, write_json
+from splatmorph.io.atomic import make_folder, write_json
 from splatmorph.io.axes import turn_between, upright
 from splatmorph.io.ply import ply_size
 from splatmorph.io.reading import read_json
@@ -76,7 +77,7 @@ def export_sequence(
             goes on from there.
     """
     folder = make_folder(folder)
-    remove_partials(folder)
+    remove_strays(folder)
     plan = {
         "times": list(times),
         "extension": extension,

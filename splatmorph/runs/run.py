@@ -22,13 +22,14 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor
 
+from renderer.beside import remove_strays
 from splatmorph._version import __version__
 from splatmorph.errors import OptionError, ReadError, RunError
 from splatmorph.fitting import FitReport
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
-from splatmorph.io.atomic import atomic_write, make_folder, remove_partials, write_json
+from splatmorph.io.atomic import atomic_write, make_folder, write_json
 from splatmorph.io.reading import read_json, reading
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
@@ -151,7 +152,7 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         WriteError: something can't be written.
     """
     folder = make_folder(folder)
-    remove_partials(folder)
+    remove_strays(folder)
     tensors = {
         f"{i}.{name}": tensor.contiguous()
         for i, leg in enumerate(run.legs)

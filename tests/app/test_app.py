@@ -375,7 +375,7 @@ def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
     with monkeypatch.context() as patched:
         patched.setattr(console, "progress", impatient)
         code, _, err = cli(*training, "-o", "cut.run")
-    assert code == 0
+    assert code == 130
     assert "interrupted: the best flow so far is kept" in err
     assert open_run("cut.run").legs[0].report["interrupted"]
     failed(cli(*training, "-o", "cut.run", "--seed", 1, "--resume"), "other inputs or options")

@@ -117,11 +117,11 @@ def test_an_interrupt_leaves_what_was_there(tmp_path, name):
     [
         ("a.mp4", [], "no frames"),
         ("frames", [], "no frames"),
-        ("a.avi2", [np.zeros((4, 4, 3))], "expected .mp4"),
+        ("a.avi2", [np.zeros((4, 4, 3))], "expected .*mp4"),
         ("a.gif", [np.zeros((4, 4, 3)), np.zeros((5, 4, 3))], "shape"),
         ("a.gif", [np.zeros((4, 4))], "shape"),
-        ("none/a.gif", [np.zeros((4, 4, 3))], "can't be written"),
-        ("none/a.mp4", [np.zeros((4, 4, 3))], "can't be written|wrote nothing"),
+        ("none/a.gif", [np.zeros((4, 4, 3))], "folder does not exist"),
+        ("none/a.mp4", [np.zeros((4, 4, 3))], "folder does not exist"),
     ],
 )
 def test_what_cant_be_written_is_said(tmp_path, name, pictures, found):
