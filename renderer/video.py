@@ -31,9 +31,10 @@ Sink = Callable[[Frame], None]
 QUEUE = 8
 FRAME = re.compile(r"frame_\d+\.png")
 PICTURES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-H264 = "-c:v libx264 -pix_fmt yuv420p -qp 10".split()
+H264 = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-qp", "10"]
 # Constant quality, at the speed that ffmpeg's manual gives for films.
-VP9 = "-c:v libvpx-vp9 -pix_fmt yuv420p -crf 24 -b:v 0 -deadline good -cpu-used 4".split()
+VP9 = ["-c:v", "libvpx-vp9", "-pix_fmt", "yuv420p", "-crf", "24", "-b:v", "0"]
+VP9 += ["-deadline", "good", "-cpu-used", "4"]
 VIDEOS = (".mp4", ".mov", ".mkv", ".webm")
 
 
