@@ -28,8 +28,8 @@ from splatmorph.flows import make_flow
 from splatmorph.images import Canvas, Picture, read_pair, read_points
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.export import export_sequence
-from splatmorph.runs.inputs import load_input
-from splatmorph.runs.run import MANIFEST, REPORT, WEIGHTS, Leg, Run, open_run, remember, save_run
+from splatmorph.runs.request import Request
+from splatmorph.runs.run import MANIFEST, REPORT, WEIGHTS, open_run
 from splatmorph.runs.state import load_state, save_state
 from splatmorph.view.diagnostics import read_history
 from tests.fuzz import seeds
@@ -96,15 +96,7 @@ def run_files(folder: Path) -> list[Path]:
         io.write(folder.parent / f"{name}.ply", seeds.splats(seed=seed))
         points = torch.rand(6, 3, generator=torch.Generator().manual_seed(seed)) - 0.5
         Landmarks(points, tuple("abcdef")).write(folder.parent / f"{name}.landmarks.json")
-    source, target = (load_input(folder.parent / f"{name}.ply") for name in "ab")
-    assert source.landmarks is not None
-    assert target.landmarks is not None
-    flow = make_flow("node", dim=3)
-    report = fit(flow, source.landmarks, target.landmarks, FitConfig())
-    matched = source.landmarks.match(target.landmarks)
-    leg = Leg(flow, *matched, report.to_dict())
-    options = {"mean": False, "seed": 0}
-    save_run(folder, Run((remember(source), remember(target)), (leg,), options), [report])
+    Request.of([folder.parent / f"{name}.ply" for name in "ab"]).fit(folder)
     return sorted(folder.iterdir())
 
 
