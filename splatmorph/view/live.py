@@ -163,13 +163,13 @@ class Viewer:
         if not self.legs:
             return self.scene.splats[0]
         number, t = self.place()
-        leg = self.legs[number]
+        leg, place = self.legs[number], self.scene.places[number]
         if wanted.part != "morph":
-            return leg.side(wanted.part, t)
+            return leg.side(wanted.part, t).moved(place)
         if wanted.ramp != leg.morph.ramp:
             # Kept: what a morph finds out about its halves takes a while.
             leg = self.legs[number] = replace(leg, morph=leg.morph.with_ramp(wanted.ramp))
-        return leg.morph.at(t)
+        return leg.morph.at(t).moved(place)
 
     def _show(self, wanted: _Drawn) -> None:
         self.shown = self.splats(wanted)
@@ -188,10 +188,9 @@ class Viewer:
         if not self.legs:
             return
         number, t = self.place()
+        marks = map(self.scene.places[number], self.legs[number].marks(t))
         colours = SOURCE_COLOUR, TARGET_COLOUR
-        for name, where, colour in zip(
-            ("source", "target"), self.legs[number].marks(t), colours, strict=True
-        ):
+        for name, where, colour in zip(("source", "target"), marks, colours, strict=True):
             if not len(where):
                 continue
             layer = self.server.scene.add_point_cloud(

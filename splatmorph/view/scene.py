@@ -11,6 +11,7 @@ from renderer import Bounds
 from splatmorph.avatars import is_avatar
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph.chain import Chain
 from splatmorph.rendering import bounds
 from splatmorph.runs.inputs import load_splat
@@ -35,19 +36,30 @@ class Scene:
         return Scene((morph.source, morph.target), names, (subject,))
 
     @property
+    def places(self) -> list[Similarity]:
+        """Where the source of each leg is shown: in its own place, or where the leg before ends."""
+        places = [Similarity.identity()]
+        for leg in self.legs:
+            here, frame = places[-1], leg.morph.frame
+            places.append(here @ frame.inverse() if leg.morph.stay else here)
+        return places[: len(self.legs)]
+
+    @property
     def title(self) -> str:
         """All names."""
         return " → ".join(self.names)
 
     def bounds(self) -> Bounds:
         """The sphere round all splats, floaters left out."""
-        return bounds(self.splats[0], *(leg.end for leg in self.legs))
+        ends = [leg.end.moved(to) for leg, to in zip(self.legs, self.places, strict=True)]
+        return bounds(self.splats[0], *ends)
 
 
 def open_scene(what: str | Path, **options: Any) -> Scene:
     """The scene of a splat file, an avatar or a run directory; ``options`` are ``Morph``'s.
 
-    A run of an average is the one splat that is the average.
+    A run of an average is the one splat that is the average; others are shown in the place of
+    their first splat, wherever the captures stand.
 
     Raises:
         ReadError: the splat can't be read.

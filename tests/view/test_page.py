@@ -23,6 +23,7 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
+from splatmorph.morph.chain import Chain
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.view.knots import FINEST, MOST, fewest_knots, knot_matrix, knot_times, knot_weights
 from splatmorph.view.page import write_page
@@ -351,6 +352,21 @@ class TestPicture:
             browser.open(tmp_path / "a.html", f"controls=0&t={t}&azimuth=20&elevation=10&zoom=2")
             assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(t))) > 35
 
+    def test_a_chain_that_stays_is_shown_in_the_first_splats_place(self, browser, tmp_path):
+        one = subject(400)
+        turn = Similarity(torch.diag(torch.tensor([-1.0, -1, 1])), 2.0, torch.tensor([1.0, 2, 0]))
+        first = replace(one.morph, target=one.morph.target.moved(turn), frame=turn, stay=True)
+        third = blob(400, 5, (0.3, 0.7, 0.3)).moved(turn)
+        second = Morph(first.target, third, one.morph.flow, stay=True)
+        legs = tuple(Subject(morph) for morph in (first, second))
+        chain = Scene((first.source, first.target, third), ("a", "b", "c"), legs)
+        write_page(tmp_path / "a.html", chain, background=GROUND)
+        whole = Chain([first, second])
+        for t in (0.5, 1, 1.5, 2):
+            browser.open(tmp_path / "a.html", f"controls=0&t={t}&azimuth=20")
+            seen = browser.screenshot() / 255
+            assert psnr(seen, our_picture(browser, whole.at(t))) > 35, f"t = {t}"
+
     def test_a_splat_alone_and_a_chain(self, browser, tmp_path):
         one, two = subject(600), subject(600)
         third = blob(600, 5, (0.3, 0.7, 0.3))
@@ -421,6 +437,42 @@ class TestHands:
         browser.wait("splatmorph.state.t > 0.3")
         browser.evaluate("document.getElementById('play').click()")
         assert not browser.evaluate("splatmorph.state.playing")
+        assert browser.complaints() == []
+
+    def test_every_button_and_the_link_that_brings_the_view_back(self, browser, tmp_path):
+        write_page(tmp_path / "a.html", scene(200))
+        browser.open(tmp_path / "a.html", "t=0.3")
+        for name, key in (
+            ("spin", "spin"),
+            ("marks", "marks"),
+            ("loop", "loop"),
+            ("play", "playing"),
+        ):
+            before = browser.evaluate(f"splatmorph.state.{key}")
+            browser.evaluate(f"document.getElementById('{name}').click()")
+            assert browser.evaluate(f"splatmorph.state.{key}") is not before, name
+        browser.evaluate("splatmorph.set({ spin: false, playing: false, t: 0.25, speed: 2 })")
+        for name in ("ground", "home", "copy", "save", "fullscreen", "help"):
+            browser.evaluate(f"document.getElementById('{name}').click()")
+        assert browser.evaluate("document.getElementById('keys').open")
+        browser.evaluate("document.getElementById('keys').close()")
+        browser.rest()
+        link = browser.evaluate("location.hash.slice(1)")
+        for part in ("t=0.25", "speed=2", "landmarks=1", "loop=0", "ground="):
+            assert part in link
+        browser.open(tmp_path / "a.html", link)
+        state = browser.evaluate("splatmorph.state")
+        assert (state["t"], state["speed"], state["marks"], state["loop"]) == (0.25, 2, True, False)
+        assert browser.complaints() == []
+
+    def test_a_video_is_recorded_and_a_print_lists_the_landmarks(self, browser, tmp_path):
+        write_page(tmp_path / "a.html", scene(100))
+        browser.open(tmp_path / "a.html", "speed=8")
+        if not browser.evaluate("document.getElementById('record').hidden"):
+            browser.evaluate("document.getElementById('record').click()")
+            browser.wait("document.getElementById('toast').textContent === 'Video saved'")
+        browser.evaluate("dispatchEvent(new Event('beforeprint'))")
+        assert browser.evaluate("document.querySelectorAll('#paper tr').length") == 6
         assert browser.complaints() == []
 
     def test_dragging_turns_and_the_wheel_zooms(self, browser, tmp_path):

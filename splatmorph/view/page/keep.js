@@ -73,23 +73,27 @@ function download(blob, name) {
   setTimeout(() => URL.revokeObjectURL(link.href), 60000);
 }
 
-// The picture as it is seen: ground, splats, landmarks. Call it right after drawing.
+// The picture as it is seen, ground, splats and landmarks, stretched over ``target``. Call it right
+// after drawing.
 function composite(player, target, ground) {
   const { painter: { canvas }, overlay, state } = player;
-  Object.assign(target, { width: canvas.width, height: canvas.height });
   const pen = target.getContext("2d");
   if (ground) {
     pen.fillStyle = ground;
     pen.fillRect(0, 0, target.width, target.height);
   }
-  pen.drawImage(canvas, 0, 0);
+  pen.drawImage(canvas, 0, 0, target.width, target.height);
   if (state.marks) pen.drawImage(overlay.canvas, 0, 0, target.width, target.height);
   return target;
 }
 
 function picture(player, ground) {
   player.draw(Math.min(devicePixelRatio, 2));
-  return composite(player, document.createElement("canvas"), ground);
+  return composite(player, sameSize(player), ground);
+}
+
+function sameSize({ painter: { canvas } }) {
+  return Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
 }
 
 // Records the canvas while the morph goes there and back once, or a splat turns once.
@@ -102,7 +106,10 @@ class Recorder {
   }
 
   constructor(player, ground, finished) {
-    Object.assign(this, { player, ground, finished, canvas: document.createElement("canvas") });
+    // Of one size from first to last, also where slow pictures are drawn coarser; even, for codecs.
+    Object.assign(this, { player, ground, finished, canvas: sameSize(player) });
+    this.canvas.width &= ~1;
+    this.canvas.height &= ~1;
     this.draw();
     const { scene, state } = player;
     const stream = this.canvas.captureStream(30);

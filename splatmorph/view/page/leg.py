@@ -20,11 +20,11 @@ from splatmorph.view.subject import Subject
 
 
 class Leg:
-    """A morph, of whose source and target the splats at those indices are shown."""
+    """A morph shown at a place, of whose source and target the splats at those indices are."""
 
-    def __init__(self, subject: Subject, source: Tensor, target: Tensor) -> None:
+    def __init__(self, subject: Subject, place: Similarity, source: Tensor, target: Tensor) -> None:
         morph = subject.morph
-        self.subject = subject
+        self.subject, self.place = subject, place
         self.agrees = BLENDS[morph.blend]
         self.halves = (morph.source.select(source), morph.aligned.select(target))
         self.agreed = [
@@ -56,7 +56,7 @@ class Leg:
             "moveScale": move_step.tolist(),
             "deformScale": shape_step,
             "base": None if away.is_identity else _rows(away),
-            "frame": _frame(subject),
+            "frame": _frame(subject, self.place),
             "error": motion.error(moves, move_step),
             "landmarks": {
                 "names": list(subject.landmark_names),
@@ -86,10 +86,11 @@ def _rows(similarity: Similarity) -> list[list[float]]:
     return [list(map(float, row)) for row in moved]
 
 
-def _frame(subject: Subject) -> dict[str, Any] | None:
-    """S(t), which carries both halves, at the knots of a polynomial; None where nothing turns."""
+def _frame(subject: Subject, place: Similarity) -> dict[str, Any] | None:
+    """What carries both halves, at the knots of a polynomial; None where nothing does."""
     morph = subject.morph
     if morph.stay or morph.frame.is_identity:
-        return None
+        return None if place.is_identity else {"knots": [0.0], "rows": [_rows(place)]}
     knots = knot_times(FINEST)
-    return {"knots": knots.tolist(), "rows": [_rows(morph.frame.power(float(t))) for t in knots]}
+    rows = [_rows(place @ morph.frame.power(float(t))) for t in knots]
+    return {"knots": knots.tolist(), "rows": rows}

@@ -60,7 +60,10 @@ def pack(scene: Scene, kept: Sequence[torch.Tensor], up: str) -> Packed:
     right, down, forward = camera.viewmat[:3, :3]
 
     splats = [one.select(index) for one, index in zip(scene.splats, kept, strict=True)]
-    legs = [Leg(one, *kept[i : i + 2]) for i, one in enumerate(scene.legs)]
+    legs = [
+        Leg(one, place, *kept[i : i + 2])
+        for i, (one, place) in enumerate(zip(scene.legs, scene.places, strict=True))
+    ]
     whole = reduce(Gaussians.union, splats)
     palette = Palette.of([whole.sh, *(leg.others for leg in legs if leg.agrees)])
     still, ranges = _at_rest(whole, palette)
