@@ -71,7 +71,7 @@ def test_what_is_wrong_with_landmarks(anna: Path, flame_folder: Path, tmp_path: 
         load_avatar(anna, flame=flame_folder, landmarks_set="68")
     alone = tmp_path / "flame2023.pkl"
     alone.symlink_to(flame_folder / "flame2023.pkl")
-    with pytest.raises(ReadError, match="landmarks-set 254, which needs no file"):
+    with pytest.raises(ReadError, match="`landmarks_set` 254, which needs no file"):
         load_avatar(anna, flame=alone, landmarks_set="70")
     embedding = tmp_path / "landmark_embedding_with_eyes.npy"
     for stored, words in (
