@@ -11,7 +11,6 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from renderer.beside import remove_strays
 from splatmorph import io
 from splatmorph.errors import OutputExistsError, ReadError, WriteError
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
@@ -77,7 +76,6 @@ def export_sequence(
             goes on from there.
     """
     folder = make_folder(folder)
-    remove_strays(folder)
     plan = {
         "times": list(times),
         "extension": extension,

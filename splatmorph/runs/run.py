@@ -22,7 +22,6 @@ import torch
 from safetensors.torch import load_file, save
 from torch import Tensor
 
-from renderer.beside import remove_strays
 from splatmorph._version import __version__
 from splatmorph.errors import OptionError, ReadError, RunError
 from splatmorph.fitting import FitReport
@@ -152,7 +151,6 @@ def save_run(folder: str | Path, run: Run, reports: Sequence[FitReport]) -> Path
         WriteError: something can't be written.
     """
     folder = make_folder(folder)
-    remove_strays(folder)
     tensors = {
         f"{i}.{name}": tensor.contiguous()
         for i, leg in enumerate(run.legs)
