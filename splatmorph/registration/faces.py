@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from renderer import bounds_of
 from splatmorph.gaussians import Gaussians
 from splatmorph.registration.face_network import (
     IRIS,
@@ -26,7 +25,7 @@ from splatmorph.registration.face_network import (
     turned,
 )
 from splatmorph.registration.views import Array, Cameras, looking, photograph, spiral
-from splatmorph.rendering import renderer_arrays
+from splatmorph.rendering import bounds_of, renderer_arrays
 
 WHITE = (1.0, 1.0, 1.0)
 

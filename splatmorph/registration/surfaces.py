@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from renderer import bounds_of
 from splatmorph.errors import LandmarkError
 from splatmorph.gaussians import Gaussians
 from splatmorph.registration.views import Array, Cameras, Pictures, around, photograph
-from splatmorph.rendering import renderer_arrays
+from splatmorph.rendering import bounds_of, renderer_arrays
 
 VIEWS, SIDE = 24, 160
 SOLID = 0.6

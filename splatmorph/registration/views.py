@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from renderer import look_at, rasterize
+from renderer import look_at
 from renderer.rasterize import Depth
 from splatmorph.gaussians import Gaussians
-from splatmorph.rendering import Colour, renderer_arrays
+from splatmorph.rendering import Colour, rasterize, renderer_arrays
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 
 ENDS = 0.1
 """The part of the height at each end whose widths are compared."""
@@ -29,7 +29,7 @@ def standing_way(gaussians: Gaussians) -> tuple[str, str]:
 
 def _widths(gaussians: Gaussians) -> tuple[float, float]:
     """How wide the visible splats are spread at the lowest and the highest y."""
-    seen = gaussians.select(gaussians.opacities >= 1 / 255)
+    seen = gaussians.select(gaussians.opacities >= FAINTEST_DRAWN)
     if len(seen) < 2:
         return 0.0, 0.0
     scales = seen.scales.sort(dim=1).values

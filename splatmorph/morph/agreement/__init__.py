@@ -17,7 +17,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.geometry.harmonics import SH0, rotate_sh
 from splatmorph.morph.agreement import colour, fade, lead, melt
 from splatmorph.morph.agreement.neighbours import Neighbours
@@ -136,7 +136,7 @@ def agree(
     held: Tensor,
 ) -> list[Agreement]:
     """How the two halves of a morph agree; arguments as for ``Meeting``."""
-    if not any((part.opacities > 1 / 255).any() for part in middle):
+    if not any((part.opacities > FAINTEST_DRAWN).any() for part in middle):
         return [Agreement.none(half) for half in rest]
     meeting = Meeting(rest, middle, turns, [[0, 1], [1, 0]], 0.5, held)
     leads = lead.leads(meeting.parts, meeting.views, meeting.shown, meeting.near)
