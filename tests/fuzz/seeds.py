@@ -19,20 +19,14 @@ from PIL import Image
 from splatmorph import io
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
+from tests.splats import random_gaussians
 
 WRITTEN_ELSEWHERE = Path(__file__).parents[1] / "io" / "formats"
 
 
 def splats(n: int = 20, degree: int = 1, seed: int = 0) -> Gaussians:
     """A splat of n small ones."""
-    rng = torch.Generator().manual_seed(seed)
-    return Gaussians(
-        means=torch.rand(n, 3, generator=rng) * 2 - 1,
-        quats=torch.randn(n, 4, generator=rng),
-        log_scales=torch.randn(n, 3, generator=rng) * 0.5 - 3.5,
-        opacity_logits=torch.randn(n, generator=rng) * 3,
-        sh=torch.randn(n, (degree + 1) ** 2, 3, generator=rng) * 0.3,
-    )
+    return random_gaussians(n, degree, seed)
 
 
 def splat_files(folder: Path) -> list[Path]:
