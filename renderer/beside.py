@@ -27,9 +27,10 @@ def beside(path: Path) -> Iterator[Path]:
 
     Raises ``OSError``.
     """
-    if path.parent not in _cleaned:
-        _cleaned.add(path.parent)
-        remove_strays(path.parent)
+    folder = path.parent.absolute()
+    if folder not in _cleaned:
+        _cleaned.add(folder)
+        remove_strays(folder)
     partial = path.with_name(f"{MARK}{os.getpid()}-{_HOST}-{path.name}")
     try:
         yield partial
@@ -48,9 +49,11 @@ def remove_strays(folder: Path) -> None:
 
 
 def _lives(process: int) -> bool:
+    if os.name != "posix":
+        return True  # elsewhere the question would end it
     try:
         os.kill(process, 0)
-    except ProcessLookupError:
+    except (ProcessLookupError, OverflowError):
         return False
     except OSError:
         return True

@@ -80,6 +80,28 @@ def test_what_a_killed_process_left_is_removed(tmp_path: Path, kind: str) -> Non
     assert list(tmp_path.iterdir()) == []
 
 
+def test_strays_go_wherever_one_stands_and_whatever_their_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("one", "two"):
+        folder = tmp_path / name
+        folder.mkdir()
+        monkeypatch.chdir(folder)
+        with beside(Path("a.x")) as partial:
+            stray = Path(partial.name.replace(str(os.getpid()), "9" * 30))
+            partial.touch()
+        stray.touch()
+        monkeypatch.setattr("renderer.beside._cleaned", set())
+        with beside(Path("a.x")) as partial:
+            partial.touch()
+        assert [file.name for file in folder.iterdir()] == ["a.x"]
+    stray.touch()
+    monkeypatch.setattr("renderer.beside._cleaned", {tmp_path / "one"})
+    with beside(Path("a.x")) as partial:
+        partial.touch()
+    assert not stray.exists()
+
+
 def test_what_a_live_process_writes_is_left_alone(tmp_path: Path) -> None:
     strange = tmp_path / f"{MARK}{os.getppid()}-elsewhere-a.x"
     strange.touch()
