@@ -21,7 +21,6 @@ from splatmorph.morph import Morph
 class Rigid(Flow):
     """Φ(x, t) = x + t·d: the flow between two heads of one shape that stand apart."""
 
-    kind = "rigid"
     shift: torch.Tensor
 
     def __init__(self, shift: torch.Tensor) -> None:
