@@ -18,6 +18,7 @@ from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
 from splatmorph.rendering import Colour, orbit, render
 from splatmorph.view.scene import Scene
 from splatmorph.view.subject import thin
+from splatmorph.view.visitors import own_page_only
 
 FRAME = 1 / 24
 """Seconds a playing morph stands still."""
@@ -40,7 +41,8 @@ def serve(
     """Serve ``scene`` at http://host:port and return at once.
 
     Arguments:
-        host: the address to listen at; the default is reached from this machine only.
+        host: the address to listen at; the default is reached from this machine only. Requests
+            by another name and of other web pages are refused.
         port: the first port to try.
         up: the axis that is up.
         background: RGB in [0, 1] of the rasterizer's picture.
@@ -48,16 +50,22 @@ def serve(
 
     Raises:
         MissingExtraError: viser is not installed.
-        OptionError: the address can't be listened at.
+        OptionError: the address can't be listened at, or other pages can't be kept out.
     """
     try:
         import viser
     except ImportError as error:
         raise MissingExtraError("viser", "view", "the live viewer") from error
     try:
-        server = viser.ViserServer(host=host, port=port, label="splatmorph", verbose=False)
+        with own_page_only(host) as guards:
+            server = viser.ViserServer(host=host, port=port, label="splatmorph", verbose=False)
     except OSError as error:
         raise OptionError(f"can't listen at {host}:{port} ({error}): give another") from error
+    if not guards.is_set():
+        server.stop()
+        raise OptionError("this version of viser lets any web page read the splats: install 1.1")
+    # Sharing would lead another site's visitors here, who are refused.
+    server.gui.configure_theme(show_share_button=False)
     return Viewer(server, scene, up, background, max_splats)
 
 
