@@ -207,7 +207,7 @@ def _names_a_file(out: Path, format: str | None) -> bool:
     if out.is_dir():
         return False
     extension = io.extension_of(out)
-    if extension in io.FORMATS:
+    if extension in io.written():
         if format not in (None, extension[1:]):
             raise OptionError(f"--format {format} and -o {out} are different formats: give one")
         return True
@@ -215,7 +215,7 @@ def _names_a_file(out: Path, format: str | None) -> bool:
     if re.fullmatch(r"\.[a-z]\w*", extension):
         raise OptionError(
             f"-o {out} has an extension we don't write: expected a folder, or one file of "
-            f"{', '.join(sorted(io.FORMATS))}"
+            f"{', '.join(io.written())}"
         )
     return False
 

@@ -13,6 +13,7 @@ from splatmorph.io.axes import upright
 from splatmorph.io.compressed_ply import write_compressed_ply
 from splatmorph.io.dialects import STRANGE_FILES
 from splatmorph.io.gltf import gltf_layout, read_gltf, write_gltf
+from splatmorph.io.ksplat import ksplat_layout, read_ksplat
 from splatmorph.io.ply import ply_layout, read_ply, write_ply
 from splatmorph.io.reading import reading
 from splatmorph.io.sog import META, read_sog, sog_layout, write_sog
@@ -26,7 +27,8 @@ class Format:
     """A kind of splat file."""
 
     read: Callable[[Path], Gaussians]
-    write: Callable[[Path, Gaussians, Sequence[str]], None]
+    write: Callable[[Path, Gaussians, Sequence[str]], None] | None
+    """None where the format is only read."""
     layout: Callable[[Path], str]
     """In words, which of its layouts a file has."""
     loses: str = ""
@@ -72,6 +74,7 @@ FORMATS = {
     ),
     ".glb": GLTF,
     ".gltf": GLTF,
+    ".ksplat": Format(read_ksplat, None, ksplat_layout),
     ".sog": SOG,
     META: SOG,
     ".usd": USD,
@@ -126,10 +129,18 @@ def write(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) 
             was there before is untouched.
     """
     path = Path(path)
-    if extension_of(path) not in FORMATS:
-        raise OptionError(f"{path} has an extension we don't write; we write {_known()}")
+    if extension_of(path) not in written():
+        raise OptionError(
+            f"{path} has an extension we don't write; we write {', '.join(written())}"
+        )
     kind = FORMATS[extension_of(path)]
+    assert kind.write is not None
     kind.write(path, kind.held(gaussians), comments)
+
+
+def written() -> list[str]:
+    """The extensions of the formats that are written."""
+    return sorted(extension for extension, kind in FORMATS.items() if kind.write)
 
 
 def extension_of(path: str | Path) -> str:
@@ -169,4 +180,4 @@ for _file in sorted(Path(__file__).parent.glob("*.py")):
     if _file.stem != "__init__" and "\nFORMATS = {" in _file.read_text(encoding="utf-8"):
         FORMATS |= importlib.import_module(f"{__name__}.{_file.stem}").FORMATS
 
-__all__ = ["FORMATS", "Format", "extension_of", "layout", "read", "stem_of", "write"]
+__all__ = ["FORMATS", "Format", "extension_of", "layout", "read", "stem_of", "write", "written"]

@@ -130,9 +130,10 @@ STRANGERS = (
     ),
 )
 
+DEFORMATION = "deformation.pth"
+"""What lies beside the PLY of 4DGaussians, whose splats a network moves in time."""
+
 STRANGE_FILES = {
-    ".ksplat": "a splat of GaussianSplats3D: convert it, for example with "
-    "npx @playcanvas/splat-transform in.ksplat out.ply",
     ".lcc": "a scene of XGRIDS: convert it, for example with "
     "npx @playcanvas/splat-transform in.lcc out.ply",
     ".splatv": "a splat of many moments (antimatter15/splaTV): save one moment as .ply",

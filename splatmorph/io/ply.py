@@ -17,7 +17,14 @@ from splatmorph.gaussians import MAX_SH_DEGREE, Gaussians
 from splatmorph.io.axes import vertical_axis, vertical_comments
 from splatmorph.io.checks import check_count, check_stored
 from splatmorph.io.compressed_ply import is_compressed, unpack
-from splatmorph.io.dialects import COLOUR, SCALES, dialects_of, finite_logits, translated
+from splatmorph.io.dialects import (
+    COLOUR,
+    DEFORMATION,
+    SCALES,
+    dialects_of,
+    finite_logits,
+    translated,
+)
 from splatmorph.io.elements import Columns, read_elements, write_elements
 from splatmorph.io.layout import read_layout
 from splatmorph.io.offsets import with_offset, without_offset
@@ -68,6 +75,8 @@ def ply_layout(path: str | Path) -> str:
     if is_compressed(elements):
         return "compressed PLY of SuperSplat"
     spoken = dialects_of(elements.get("vertex", {}))
+    if (Path(path).parent / DEFORMATION).is_file():
+        return f"PLY of a splat of many moments, read where {DEFORMATION} beside it moves nothing"
     names = [f"{dialect.name} ({dialect.writers})" for dialect in spoken]
     return "PLY with " + " and ".join(names) if names else "PLY as Inria lays it out"
 

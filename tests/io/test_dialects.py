@@ -176,3 +176,13 @@ def test_other_kinds_are_named_with_the_way_out(
 def test_files_of_other_kinds_are_named_by_their_extension(tmp_path: Path, extension: str) -> None:
     (tmp_path / f"x{extension}").write_bytes(b"whatever")
     refused(tmp_path / f"x{extension}", STRANGE_FILES[extension])
+
+
+def test_the_still_splat_of_a_moving_one_is_read_and_named(
+    tmp_path: Path, make_gaussians: MakeGaussians
+) -> None:
+    splats = make_gaussians(20)
+    io.write(tmp_path / "point_cloud.ply", splats)
+    (tmp_path / "deformation.pth").touch()
+    assert "many moments" in io.layout(tmp_path / "point_cloud.ply")
+    assert torch.equal(io.read(tmp_path / "point_cloud.ply").means, splats.means)

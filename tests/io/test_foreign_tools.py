@@ -22,6 +22,8 @@ MakeGaussians = Callable[..., Gaussians]
 LOOSE = {".compressed.ply": 2e-3, ".spz": 2e-4, ".sog": 4e-5}
 """World units that centers may move in a box of 2."""
 
+WRITTEN_BY_OTHERS = Path(__file__).parent / "formats"
+
 VALIDATE = """
 const validator = require('gltf-validator');
 const bytes = new Uint8Array(require('fs').readFileSync(process.argv[1]));
@@ -103,6 +105,14 @@ def test_splat_transform_reads_our_sog(
     splats = make_gaussians(300, 2)
     io.write(tmp_path / "a.sog", splats)
     near(transform(tmp_path / "a.sog", tmp_path / "b.ply"), splats, LOOSE[".sog"])
+
+
+@pytest.mark.parametrize("level", [0, 1, 2])
+def test_splat_transform_reads_the_same_in_a_ksplat(
+    tmp_path: Path, transform: Callable[[Path, Path], Gaussians], level: int
+) -> None:
+    path = WRITTEN_BY_OTHERS / f"gaussian-splats-3d-{level}.ksplat"
+    near(transform(path, tmp_path / "x.ply"), io.read(path))
 
 
 def test_splat_transform_reads_our_spz_and_turns_it(
