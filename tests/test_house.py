@@ -20,7 +20,7 @@ from splatmorph.errors import SplatmorphError
 
 HOUSE = Path(__file__).parents[1]
 ROOMS = (
-    ("_version", "errors"),
+    ("_version", "errors", "steady"),
     ("geometry", "renderer"),
     ("gaussians",),
     ("io", "rendering", "flows"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,8 @@ def _read_with_trimesh(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
         raise ReadError(f"{path} is larger than {LARGEST >> 20} MB, expected a head's mesh")
     if kind == "ply":
         read_layout(path)
+    else:
+        _check_corners(path)
     import trimesh
 
     with reading(path, "mesh"), path.open("rb") as stream:
@@ -99,3 +102,13 @@ def _read_with_trimesh(path: Path) -> tuple[NDArray[Any], NDArray[Any] | None]:
         )
         vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     return vertices, faces if len(faces) else None
+
+
+def _check_corners(path: Path) -> None:
+    """Refuse an ``.obj`` whose faces have corners beyond its lines: room is made up to them."""
+    with reading(path, "mesh"):
+        data = path.read_bytes()
+        lines = data.count(b"\n") + data.count(b"\r") + 1
+        for face in re.finditer(rb"^[ \t]*f\b[^\r\n]*", data, re.MULTILINE):
+            if any(int(corner) > lines for corner in re.findall(rb"\d+", face[0])):
+                raise ReadError(f"{path} has faces beyond its own vertices: export it again")

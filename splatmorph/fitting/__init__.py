@@ -26,6 +26,7 @@ from splatmorph.flows import Flow, Node
 from splatmorph.flows.linear import Linear
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import evaluate
+from splatmorph.steady import one_thread
 
 __all__ = [
     "ENERGIES",
@@ -50,6 +51,7 @@ INTEGRATION_FLOOR = 2e-6
 """… or this many frame units, whichever is more."""
 
 
+@one_thread()
 def fit(
     flow: Flow,
     source: Landmarks,
@@ -65,7 +67,8 @@ def fit(
 
     The flow's frame is laid first, so that the landmarks of both sides fill [-1, 1]^dim; then how
     far to trust them is chosen, unless ``config`` says it, and the flow is solved for or trained,
-    as ``methods`` says of its class. Everything runs where the flow is, the landmarks included.
+    as ``methods`` says of its class. Everything runs where the flow is, the landmarks included;
+    on the CPU same inputs give the same bits, whatever its cores.
     Sets that stand apart, ``similarity_between`` brings together first.
 
     Arguments:

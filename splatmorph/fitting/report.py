@@ -77,6 +77,8 @@ class FitState:
 
     tensors: dict[str, Tensor]
     meta: dict[str, str]
+    origin: str = "the state to resume from"
+    """What it is called where it can't be gone on with."""
 
 
 @dataclass(frozen=True)

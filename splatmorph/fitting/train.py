@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -206,16 +206,35 @@ class _Attempt:
             self.begin(attempt)
             self.step, self.best_step = step, best_step
             self.best_mse = float(state.meta["best_mse"])
-            self.best = _under("best.", state.tensors)
-            self.objective.module.load_state_dict(_under("flow.", state.tensors))
+            weights = self.objective.module.state_dict()
+            self.best = _under("best.", state.tensors, weights) or {}
+            self.objective.module.load_state_dict(_under("flow.", state.tensors, weights) or {})
             for i, parameter in enumerate(self.parameters):
-                self.optimizer.state[parameter] = _under(f"adam.{i}.", state.tensors)
+                moments = dict.fromkeys(("exp_avg", "exp_avg_sq"), parameter)
+                like = {"step": torch.zeros(()), **moments}
+                kept = _under(f"adam.{i}.", state.tensors, like)
+                if kept is not None:
+                    self.optimizer.state[parameter] = kept
             self.generator.set_state(state.tensors["generator"])
         except (LookupError, ValueError, TypeError, RuntimeError) as error:
             raise OptionError(
-                f"the state to resume from is of another flow or version ({error}): fit anew"
+                f"{state.origin} is of another flow or version ({error}): fit anew"
             ) from error
 
 
-def _under(prefix: str, tensors: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {k.removeprefix(prefix): v.clone() for k, v in tensors.items() if k.startswith(prefix)}
+def _under(
+    prefix: str, tensors: Mapping[str, Tensor], like: Mapping[str, Tensor]
+) -> dict[str, Tensor] | None:
+    """What is kept under ``prefix``, of the names, shapes and types of ``like``; None: nothing is.
+
+    Raises ``ValueError``.
+    """
+    found = {k.removeprefix(prefix): v.clone() for k, v in tensors.items() if k.startswith(prefix)}
+    if not found:
+        return None
+    if found.keys() != like.keys():
+        raise ValueError(f"{', '.join(found)} instead of {', '.join(like)}")
+    for name, value in found.items():
+        if value.shape != like[name].shape or value.dtype != like[name].dtype:
+            raise ValueError(f"{prefix}{name} has another shape or type")
+    return found

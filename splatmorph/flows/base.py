@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import Any, ClassVar, Self
@@ -168,22 +169,34 @@ class Flow(nn.Module):
         return torch.stack(rows, dim=1)
 
 
-def options_of(made: Callable[..., Any]) -> tuple[str, ...]:
-    """The keyword arguments of a flow's or a field's constructor."""
+def options_of(made: Callable[..., Any]) -> dict[str, Any]:
+    """The keyword arguments of a flow's or a field's constructor, with their defaults."""
     parameters = inspect.signature(made).parameters.values()
-    return tuple(one.name for one in parameters if one.kind is one.KEYWORD_ONLY)
+    return {one.name: one.default for one in parameters if one.kind is one.KEYWORD_ONLY}
 
 
-def check_options(what: str, given: Mapping[str, Any], known: Sequence[str]) -> None:
-    """Refuse options that ``what`` doesn't have.
+def check_options(what: str, given: Mapping[str, Any], known: Mapping[str, Any]) -> None:
+    """Refuse options that ``what`` doesn't have, and values of another kind than the default's.
 
     Raises:
         OptionError: names the first of them, and those that there are.
     """
-    for name in given:
+    for name, value in given.items():
         if name not in known:
             there = f"choose of {', '.join(known)}" if known else "it has none"
             raise OptionError(f"{what} has no option '{name}': {there}")
+        if not _of_one_kind(value, known[name]):
+            raise OptionError(
+                f"{what}: option '{name}' is {value!r}, expected one like {known[name]!r}"
+            )
+
+
+def _of_one_kind(value: Any, default: Any) -> bool:
+    if default is None or default is inspect.Parameter.empty:
+        return True
+    if isinstance(default, float):
+        return type(value) in (int, float) and math.isfinite(value)
+    return type(value) is type(default)
 
 
 def as_floats(times: Times) -> list[float]:

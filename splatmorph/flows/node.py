@@ -53,10 +53,13 @@ class Node(Flow):
         Raises:
             OptionError: there is no such field or option.
         """
-        if field not in FIELDS:
+        if field not in tuple(FIELDS):
             raise OptionError(f"field '{field}' is unknown: choose one of {', '.join(FIELDS)}")
-        known = ("field", "steps", *options_of(FIELDS[field]))
-        check_options(f"flow '{cls.kind}' with a {field} field", options, known)
+        known = {"steps": DEFAULT_STEPS, "field": field, **options_of(FIELDS[field])}
+        what = f"flow '{cls.kind}' with a {field} field"
+        check_options(what, {"steps": steps, **options}, known)
+        if steps < 1:
+            raise OptionError(f"{what}: steps is {steps}, expected at least 1")
         return cls(dim, FIELDS[field](dim, **options), steps)
 
     def config(self) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.steady import one_thread
 
 SUBSETS = 300
 """Smallest sets of pairs that a robust estimate begins from."""
@@ -31,6 +32,7 @@ NOT_MET = 0.03
 """… is what the target is, where that misses by more than this part of the set's size."""
 
 
+@one_thread()
 def similarity_between(p: Tensor, q: Tensor) -> Similarity:
     """The similarity that takes points p closest to their partners q, (k, dim) each.
 

@@ -55,7 +55,7 @@ def load_state(folder: Path, number: int, asked: str) -> FitState | None:
             f"{path} was left by a fit of other inputs or options: give the same ones to "
             "`resume`, or fit anew with `overwrite`"
         )
-    return FitState(tensors, meta)
+    return FitState(tensors, meta, str(path))
 
 
 def drop_states(folder: Path) -> None:

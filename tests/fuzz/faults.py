@@ -170,6 +170,7 @@ FAULTS: dict[str, dict[str, Maker]] = {
         ),
         "words.obj": lambda: b"v a b c\nf 1 2 3\n",
         "far.obj": lambda: b"v 0 0 0\nf 1 2 999999999\n",
+        "farther.obj": lambda: b"v 0 0 0\nvt 0 0\nvn 0 0 1\nf 1/1/1 1/1/1 2147483648/1/1\n",
         "large.npy": lambda: _npy((100_000_000, 3)),
     },
     "pairs": {"cell.csv": lambda: b"1,2,3,4,5," + b"6" * 200_000 + b"x", "none.npz": lambda: b"PK"},

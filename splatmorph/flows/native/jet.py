@@ -22,6 +22,8 @@ MOST_INPUTS = 8
 MOST_CHANNELS = 10
 WORTH_SHARING = 1 << 22
 """Products in the middle layers from which a second thread pays."""
+PARTS = 4
+"""Then, whatever the cores: slopes are summed by part, and so rounded by their number."""
 
 
 class Layers(NamedTuple):
@@ -182,7 +184,7 @@ def _arguments(
 
 def _parts(count: int, rows: int, first: Tensor) -> int:
     products = count * rows * len(first) ** 2
-    return torch.get_num_threads() if products > WORTH_SHARING else 1
+    return PARTS if products > WORTH_SHARING else 1
 
 
 def push_network(jet: Jet, layers: Layers) -> Jet:
