@@ -127,7 +127,7 @@ def _poster(scene: Scene, up: str) -> str:
     """The first picture as a data URL, transparent where nothing is."""
     pixels = render(scene.splats[0], first_camera(scene, up, POSTER_SIZE), background=None)
     stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, "WEBP", quality=80, method=6)
+    Image.fromarray(pixels).save(stream, "WEBP", quality=80, method=4)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode()
 
 
