@@ -33,7 +33,7 @@ def main() -> None:
     for kind in FLOWS:
         flow = sm.make_flow(kind, dim=3)
         sm.fit(flow, source_marks, target_marks, domain=source.means.double())
-        morphs.append(sm.Morph(source, target, flow))
+        morphs.append(sm.Morph(source, target, flow, landmarks=p))
     folder = Path(__file__).parent
     write_image(folder / "morph.png", moments(morphs[0]))
     subjects = [Subject(morph, "Ines", "Otto", p, q, names) for morph in morphs]

@@ -213,7 +213,7 @@ def warp_rows(head: Gaussians) -> Iterator[list[str]]:
             carried = COVARIANCES[covariance](head, flow, [1.0])(0)
             row = [warp, covariance, score(pictures(carried, cameras), true_end)]
             for ramp in COMPARED:
-                morph = Morph(head, target, flow, covariance=covariance, ramp=ramp)
+                morph = Morph(head, target, flow, blend="union", covariance=covariance, ramp=ramp)
                 row.append(score(pictures(morph.at(0.5), cameras), true_half))
             yield row
 
@@ -317,7 +317,8 @@ def cost_table(source: Gaussians, target: Gaussians) -> None:
 
     def seconds(ramp: str, covariance: str) -> float:
         begun = time.perf_counter()
-        for _ in Morph(source, target, flow, ramp=ramp, covariance=covariance).sequence(times):
+        morph = Morph(source, target, flow, blend="union", ramp=ramp, covariance=covariance)
+        for _ in morph.sequence(times):
             pass
         return time.perf_counter() - begun
 

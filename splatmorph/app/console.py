@@ -9,7 +9,7 @@ import json
 import logging
 import re
 import sys
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -28,7 +28,9 @@ from rich.table import Table
 from splatmorph.errors import OutputExistsError, WriteError
 
 if TYPE_CHECKING:
+    from splatmorph.avatars import Drive
     from splatmorph.fitting import FitProgress
+    from splatmorph.morph import Chain, Morph
 
 INTERRUPTED = 130
 MISSED = 3
@@ -165,6 +167,12 @@ def fitting() -> Iterator[Callable[[FitProgress], None]]:
     """A bar on stderr for a fit; what it yields is the ``on_step`` of a fit."""
     with progress("fitting") as update:
         yield lambda step: update(step.step, step.steps, f"landmark MSE {step.mse:.1e}")
+
+
+def prepare(morph: Morph | Chain | Drive, times: Sequence[float]) -> None:
+    """Find out what frames at ``times`` need, under a bar."""
+    with progress("agreeing") as update:
+        morph.prepare(times, lambda done, steps: update(done, steps, ""))
 
 
 def claim(path: Path, overwrite: bool) -> Path:

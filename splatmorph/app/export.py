@@ -137,6 +137,7 @@ class _Job:
 
 
 def _to_animation(job: _Job, file: Path, timeline: Timeline) -> None:
+    console.prepare(job.morph, job.times)
     with console.progress("writing") as update:
         plain = export_animation(
             job.morph,
@@ -156,6 +157,7 @@ def _to_animation(job: _Job, file: Path, timeline: Timeline) -> None:
 
 def _to_file(job: _Job, file: Path) -> None:
     (t,) = job.times
+    console.prepare(job.morph, job.times)
     written = export_one(job.morph, t, file, names=job.names, prune=job.prune, up=job.up)
     _say_written(written, str(file))
     leg = job.run.legs[0]
@@ -183,6 +185,7 @@ def _to_folder(
             overwrite=overwrite,
             asked=asked,
             on_frame=lambda done: update(done, len(job.times), ""),
+            on_prepare=lambda done, steps: update(0, len(job.times), f"agreeing {done}/{steps}"),
         )
     if written.resumed:
         console.say(f"{written.resumed} frames were there from an interrupted export")

@@ -179,7 +179,7 @@ class Blending:
     """How the halves of a morph are blended."""
 
     blend: str | None = None
-    """How the halves meet: agree (in colour and shape) or union (each as it is, the paper's)."""
+    """How the halves meet: agree (the default; in colour and shape) or union, the paper's."""
     ramp: str | None = None
     """How opacities fade: calibrated (the default), power or linear, the paper's."""
     covariance: str | None = None

@@ -128,6 +128,7 @@ def _shot(
     morph = run.morph(inputs, stay=True, **blending)
     extent = tuple(morph.sequence(range(len(inputs))))
     if drive is None:
+        console.prepare(morph, times)
         return Shot(morph.sequence(times), extent, SWING)
     avatars = [one.avatar for one in inputs]
     if len(avatars) != 2 or avatars[0] is None or avatars[1] is None:
@@ -135,6 +136,7 @@ def _shot(
     leg, track = run.legs[0], track_of(drive)
     blending |= {"landmarks": leg.source_points, "frame": leg.frame, "stay": True}
     driven = Drive(avatars[0], avatars[1], leg.flow, track, **blending)
+    console.prepare(driven, times)
     return Shot(driven.sequence(times), extent, SWING)
 
 
@@ -170,6 +172,7 @@ def _sheet(
         width=width,
         height=height,
     )
+    console.prepare(morph, times)
     return contact_sheet(
         morph,
         times,

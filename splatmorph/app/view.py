@@ -58,14 +58,15 @@ def view(
         subject, report = open_subject(what, **chosen)
         draw_diagnostics(diagnostics, subject, report.get("errors", {}), read_history(what))
     if out is not None:
-        _write_page(out, open_scene(what, **chosen), up, background, max_splats)
+        scene = _prepared(open_scene(what, **chosen))
+        _write_page(out, scene, up, background, max_splats)
     for path in written:
         console.say(f"wrote {path}")
     if not written:
         from splatmorph.view.live import serve
 
         paper = (1.0, 1.0, 1.0) if background is None else background
-        scene = open_scene(what, **chosen)
+        scene = _prepared(open_scene(what, **chosen))
         above = upright(scene.splats[0], up)
         viewer = serve(
             scene, host=host, port=port, up=above, background=paper, max_splats=max_splats
@@ -74,6 +75,12 @@ def view(
         if open_browser:
             webbrowser.open(viewer.address)
         viewer.run()
+
+
+def _prepared(scene: Scene) -> Scene:
+    for leg in scene.legs:
+        console.prepare(leg.morph, [0.5])
+    return scene
 
 
 def _write_page(

@@ -27,6 +27,7 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph import Morph
+from splatmorph.morph.agreement import OnStep
 from splatmorph.morph.ramps import EASES
 
 FACE = "flame_face"
@@ -83,6 +84,10 @@ class Drive:
     def frames(self, count: int) -> list[int]:
         """The track's frames for ``count`` pictures: evenly through it, the nearest ones."""
         return torch.linspace(0, len(self.track) - 1, count).round().long().tolist()
+
+    def prepare(self, times: Sequence[float], on_step: OnStep | None = None) -> None:
+        """As ``Morph.prepare``."""
+        self._morph.prepare(times, on_step)
 
     def sequence(
         self, times: Sequence[float], frames: Sequence[int] | None = None

@@ -17,7 +17,7 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import FEWEST, Landmarks
-from splatmorph.morph.agreement import agreed_parts
+from splatmorph.morph.agreement import OnStep, agreed_parts
 from splatmorph.morph.morph import BLENDS, DEFAULT_BLEND, Morph, check_times, chosen
 from splatmorph.morph.ramps import DEFAULT_RAMP, RAMPS
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE
@@ -57,15 +57,23 @@ class Chain:
 
     def sequence(self, times: Sequence[float]) -> Iterator[Gaussians]:
         """The chain at ``times``, in their order, from one integration a leg."""
+        legs, own = self._by_leg(times)
+        frames = {leg: self.morphs[leg].sequence(times) for leg, times in own.items()}
+        return (self._placed(next(frames[leg]), leg) for leg in legs)
+
+    def prepare(self, times: Sequence[float], on_step: OnStep | None = None) -> None:
+        """``Morph.prepare`` of each leg in turn."""
+        for leg, own in self._by_leg(times)[1].items():
+            self.morphs[leg].prepare(own, on_step)
+
+    def _by_leg(self, times: Sequence[float]) -> tuple[list[int], dict[int, list[float]]]:
+        """On which leg each of ``times`` is, and the times of each leg from its own start."""
         check_times(times)
         legs = [min(max(math.floor(t), 0), len(self.morphs) - 1) for t in times]
-        frames = {
-            leg: self.morphs[leg].sequence(
-                [t - leg for t, own in zip(times, legs, strict=True) if own == leg]
-            )
-            for leg in set(legs)
-        }
-        return (self._placed(next(frames[leg]), leg) for leg in legs)
+        own: dict[int, list[float]] = {leg: [] for leg in legs}
+        for t, leg in zip(times, legs, strict=True):
+            own[leg].append(t - leg)
+        return legs, own
 
     def _placed(self, frame: Gaussians, leg: int) -> Gaussians:
         if leg == 0 or not self.morphs[0].stay:
@@ -85,6 +93,7 @@ def average(
     covariance: str = DEFAULT_COVARIANCE,
     blend: str = DEFAULT_BLEND,
     landmarks: Tensor | None = None,
+    on_step: OnStep | None = None,
 ) -> Gaussians:
     """One splat that is the average of several.
 
@@ -96,6 +105,7 @@ def average(
         frames: where the common shape stands, seen from each splat; in its place if not given.
         ramp, covariance, blend: as for ``Morph``; the ramp fades each splat to its weight.
         landmarks: (m, 3) the first splat's, where ``agree`` moves nothing beyond the flows.
+        on_step: called with the steps done and the steps in all while parts are made to agree.
 
     Raises:
         OptionError: a name that is none of the choices, or weights that are no proportions.
@@ -120,7 +130,8 @@ def average(
         held = torch.empty(0, 3)
         if landmarks is not None:
             held = frames[0](flows[0].trajectory(landmarks, [1.0])[0])
-        parts = agreed_parts(parts, shares, held, stretch=covariance == "full")
+        stretch = covariance == "full"
+        parts = agreed_parts(parts, shares, held, stretch=stretch, on_step=on_step)
     return reduce(Gaussians.union, map(fade, parts, shares))
 
 

@@ -15,7 +15,7 @@ from splatmorph.errors import NonFiniteError, OptionError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
-from splatmorph.morph.agreement import Agreement, agree
+from splatmorph.morph.agreement import Agreement, OnStep, agree
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, Drift, colour_turns
@@ -25,7 +25,7 @@ Choice = TypeVar("Choice")
 BLENDS = {"agree": True, "union": False}
 """By name, whether the halves agree in the middle; otherwise each is as it was, as in the paper."""
 
-DEFAULT_BLEND = "union"
+DEFAULT_BLEND = "agree"
 
 Offset = tuple[float, float, float]
 
@@ -35,14 +35,14 @@ UNSEEN = 1e-6
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Morph:
-    """The union blend of the paper (eq. 7), G(t) = G⁰(t) ∪ G¹(t).
+    """Two splats that become each other, G(t) = G⁰(t) ∪ G¹(t) (eq. 7 of the paper).
 
     Both splats travel along one flow Φ that takes the source's shape to the target's, and with the
     frame S in which the target stands: the source half is at S(t)∘Φ(x, t), the target half at
-    S(t)∘Φ(S⁻¹y, t - 1), and the ramp fades the one out and the other in. With ``ramp="linear"``
-    and ``covariance="fixed"`` that is the paper's morph; the defaults keep the surface solid and
-    let shapes follow the flow. Below 0 only the source is left and above 1 only the target,
-    carried on by the same flow: a caricature.
+    S(t)∘Φ(S⁻¹y, t - 1), and the ramp fades the one out and the other in. With ``blend="union"``,
+    ``ramp="linear"`` and ``covariance="fixed"`` that is the paper's morph; the defaults let the
+    halves agree, keep the surface solid and let shapes follow the flow. Below 0 only the source is
+    left and above 1 only the target, carried on by the same flow: a caricature.
 
     Raises:
         OptionError: a name that is none of the choices, a threshold of no use, or a time that is
@@ -189,7 +189,16 @@ class Morph:
         agreed = self.agreement()[index]
         return self._travels(agreed.taken(parts), [t - index], agreed.drift)(t - index)
 
-    def agreement(self) -> tuple[Agreement, Agreement]:
+    def prepare(self, times: Sequence[float], on_step: OnStep | None = None) -> None:
+        """Find out what frames at ``times`` need, ahead of the first; no frame is changed by it.
+
+        ``on_step`` is called with the steps done and the steps in all.
+        """
+        eased = map(EASES[self.ease], times)
+        if BLENDS[self.blend] and any(0 < t < 1 for t in eased):
+            self.agreement(on_step)
+
+    def agreement(self, on_step: OnStep | None = None) -> tuple[Agreement, Agreement]:
         """How source and target agree, found once; nothing changes where they don't."""
         if not self._agreed:
             degree = max(self.source.sh_degree, self.target.sh_degree)
@@ -204,7 +213,7 @@ class Morph:
             held = torch.empty(0, 3)
             if self.landmarks is not None:
                 held = self.flow.trajectory(self.landmarks, [0.5])[0]
-            self._agreed.extend(agree(rest, middle, turns, held))
+            self._agreed.extend(agree(rest, middle, turns, held, on_step))
         return self._agreed[0], self._agreed[1]
 
     def with_ramp(self, ramp: str) -> Morph:

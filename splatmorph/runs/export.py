@@ -21,6 +21,7 @@ from splatmorph.io.reading import read_json
 from splatmorph.io.usd import HIGHEST_DEGREE, STILL, Timeline, write_animation
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
+from splatmorph.morph.agreement import OnStep
 from splatmorph.morph.chain import Chain
 from splatmorph.morph.ramps import EASES
 
@@ -55,6 +56,7 @@ def export_sequence(
     overwrite: bool = False,
     asked: dict[str, Any] | None = None,
     on_frame: Callable[[int], None] | None = None,
+    on_prepare: OnStep | None = None,
 ) -> Exported:
     """Write ``morph_0000.ply`` … for ``times``, and ``frames.json`` last.
 
@@ -69,6 +71,7 @@ def export_sequence(
         overwrite: replace an earlier export in ``folder``.
         asked: what tells this export from another one, to resume only what is the same.
         on_frame: called with the number of frames done.
+        on_prepare: called before the first, as ``Morph.prepare`` does.
 
     Raises:
         OutputExistsError: an export is there and ``overwrite`` is off.
@@ -88,7 +91,9 @@ def export_sequence(
     files = tuple(folder / f"morph_{i:0{digits}d}{extension}" for i in range(len(times)))
     done = _done_before(folder, plan, files, overwrite)
     left = [i for i in range(len(times)) if i not in done]
-    frames = morph.sequence([times[i] for i in left])
+    coming = [times[i] for i in left]
+    morph.prepare(coming, on_prepare)
+    frames = morph.sequence(coming)
     written: dict[int, dict[str, float]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
         written[i] = _write_frame(files[i], frame, times[i], names, prune, up)

@@ -131,7 +131,7 @@ class Run:
             RunError: an input has moved or changed.
             OptionError: an option of morphs only, or one that ``average`` refuses.
         """
-        if timed := sorted(options.keys() - {"ramp", "covariance", "blend"}):
+        if timed := sorted(options.keys() - {"ramp", "covariance", "blend", "on_step"}):
             raise OptionError(f"the run is an average, which has no t: leave out `{timed[0]}`")
         splats = [one.gaussians for one in inputs or self.load_inputs()]
         flows, frames = [leg.flow for leg in self.legs], [leg.frame for leg in self.legs]

@@ -54,7 +54,7 @@ def routes() -> tuple[ImageMorph, Morph]:
     splats = (as_splats(source), as_splats(target))
     return (
         ImageMorph(source, target, FlowWarp(flow)),
-        Morph(*splats, PlaneFlow(flow), covariance="full"),
+        Morph(*splats, PlaneFlow(flow), blend="union", covariance="full"),
     )
 
 

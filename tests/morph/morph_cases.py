@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import torch
 from torch import Tensor
 
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
+from splatmorph.morph import Morph
+
+union = partial(Morph, blend="union")
+"""The paper's: halves as they are, whose every splat has an answer that is known."""
 
 
 class AffineFlow(Flow):

@@ -7,11 +7,10 @@ from typing import Any
 
 import pytest
 import torch
-from morph_cases import affine_flow, random_gaussians, same_bits
+from morph_cases import affine_flow, random_gaussians, same_bits, union
 
 from splatmorph.errors import LandmarkError, OptionError
 from splatmorph.landmarks import Landmarks
-from splatmorph.morph import Morph
 from splatmorph.morph.chain import Chain, average, mean_landmarks
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.runs.run import Run
@@ -20,7 +19,7 @@ A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (20, 30, 25))
 
 
 def abc(**options: object) -> Chain:
-    return Chain([Morph(A, B, affine_flow(), **options), Morph(B, C, affine_flow(), **options)])
+    return Chain([union(A, B, affine_flow(), **options), union(B, C, affine_flow(), **options)])
 
 
 def test_whole_times_are_the_splats_bit_for_bit() -> None:
@@ -41,13 +40,13 @@ def test_a_chain_is_its_legs_in_any_order_of_times() -> None:
 
 def test_each_leg_is_integrated_once() -> None:
     flow = affine_flow()
-    list(Chain([Morph(A, B, flow, covariance="fixed")]).sequence([0.1, 0.7, 0.3]))
+    list(Chain([union(A, B, flow, covariance="fixed")]).sequence([0.1, 0.7, 0.3]))
     assert flow.calls == 2
 
 
 def test_a_chain_refuses_what_it_cannot_do() -> None:
     with pytest.raises(ValueError, match="where one ended"):
-        Chain([Morph(A, B, affine_flow()), Morph(C, A, affine_flow())])
+        Chain([union(A, B, affine_flow()), union(C, A, affine_flow())])
     with pytest.raises(ValueError, match="at least one"):
         Chain([])
     with pytest.raises(OptionError, match="no stable count"):
@@ -59,7 +58,7 @@ def test_a_chain_refuses_what_it_cannot_do() -> None:
 @pytest.mark.parametrize("ramp", RAMPS)
 def test_an_average_is_every_splat_at_the_common_shape_at_its_weight(ramp: str) -> None:
     flows = [affine_flow() for _ in range(3)]
-    mean = average([A, B, C], flows, [1, 2, 1], ramp=ramp)
+    mean = average([A, B, C], flows, [1, 2, 1], ramp=ramp, blend="union")
     assert len(mean) == len(A) + len(B) + len(C)
     torch.testing.assert_close(mean.means[: len(A)], flows[0].trajectory(A.means, [1.0])[0])
     torch.testing.assert_close(mean.opacities[20:50], RAMPS[ramp](B, 0.5).opacities)
@@ -69,8 +68,8 @@ def test_an_average_of_two_is_the_middle_of_a_morph() -> None:
     forth, back = affine_flow(), affine_flow()
     forth.augmented.mul_(0.5)
     back.augmented.mul_(-0.5)
-    middle = Morph(A, B, affine_flow(), covariance="full").at(0.5)
-    mean = average([A, B], [forth, back], covariance="full")
+    middle = union(A, B, affine_flow(), covariance="full").at(0.5)
+    mean = average([A, B], [forth, back], covariance="full", blend="union")
     torch.testing.assert_close(mean.means, middle.means)
     torch.testing.assert_close(mean.log_scales, middle.log_scales, atol=1e-3, rtol=1e-3)
 

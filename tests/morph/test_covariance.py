@@ -8,12 +8,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from morph_cases import AffineFlow, affine_flow, random_gaussians
+from morph_cases import AffineFlow, affine_flow, random_gaussians, union
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import to_matrices
-from splatmorph.morph import Morph
 from splatmorph.morph.covariance import polar_rotation, stretched_axes
 from splatmorph.morph.transport import COVARIANCES, KNOTS
 
@@ -89,7 +88,7 @@ def pushed_by_the_flow(t: float) -> list[tuple[Tensor, Tensor]]:
     """Square roots of covariance, found and expected, of both halves of a full morph at t."""
     source, target = random_gaussians(50, seed=1), random_gaussians(30, seed=2)
     flow = affine_flow()
-    found = square_roots(Morph(source, target, flow, covariance="full", ramp="linear").at(t))
+    found = square_roots(union(source, target, flow, covariance="full", ramp="linear").at(t))
     expected = []
     for whole, time in ((source, t), (target, t - 1)):
         jacobian = flow.trajectory_jacobian(whole.means, [time])[1][0].double()
@@ -115,7 +114,7 @@ def test_rotate_turns_by_the_polar_rotation_and_keeps_scales() -> None:
     source = random_gaussians(50, degree=2)
     flow = affine_flow()
     turned = (
-        Morph(source, source, flow, covariance="rotate", ramp="linear")
+        union(source, source, flow, covariance="rotate", ramp="linear")
         .at(0.999999)
         .select(torch.arange(50))
     )
@@ -132,7 +131,7 @@ def test_a_rigid_turn_is_the_same_in_rotate_and_full() -> None:
     spin = torch.tensor([[0.0, -1, 0.3], [1, 0, -0.2], [-0.3, 0.2, 0]])
     flow = AffineFlow(spin, torch.zeros(3))
     rotate, full = (
-        Morph(source, source, flow, covariance=c, ramp="linear").at(0.7) for c in ("rotate", "full")
+        union(source, source, flow, covariance=c, ramp="linear").at(0.7) for c in ("rotate", "full")
     )
     for name in ("means", "quats", "log_scales", "sh"):
         torch.testing.assert_close(getattr(rotate, name), getattr(full, name), atol=1e-5, rtol=1e-4)
@@ -143,7 +142,7 @@ def test_a_rigid_turn_is_the_same_in_rotate_and_full() -> None:
 def test_axes_move_without_a_jump_even_through_several_turns(covariance: str, sign: int) -> None:
     source = random_gaussians(100, seed=5)
     swirl = torch.tensor([[0.3, -9, 1], [9, -0.2, 0], [0.5, 0, 0.2]])
-    morph = Morph(
+    morph = union(
         source, source, AffineFlow(swirl, torch.zeros(3)), covariance=covariance, ramp="linear"
     )
     times = [0.0, *TIMES[:-1]] if sign > 0 else [1.0, *TIMES[-2::-1]]
@@ -160,7 +159,7 @@ def test_identity_moves_nothing() -> None:
     still = AffineFlow(torch.zeros(3, 3), torch.zeros(3))
     for covariance in COVARIANCES:
         moved = (
-            Morph(source, source, still, covariance=covariance, ramp="linear")
+            union(source, source, still, covariance=covariance, ramp="linear")
             .at(0.5)
             .select(torch.arange(100))
         )
@@ -174,7 +173,7 @@ def test_equal_scales_are_not_turned_by_rounding() -> None:
     spin = torch.tensor([[0.0, -1, 0.3], [1, 0, -0.2], [-0.3, 0.2, 0]])
     flow = AffineFlow(spin, torch.zeros(3))
     rotate, full = (
-        Morph(ball, ball, flow, covariance=c, ramp="linear").at(0.5) for c in ("rotate", "full")
+        union(ball, ball, flow, covariance=c, ramp="linear").at(0.5) for c in ("rotate", "full")
     )
     torch.testing.assert_close(rotate.quats, full.quats, atol=1e-4, rtol=1e-4)
     assert math.isclose(float(full.log_scales.min()), -4, abs_tol=1e-4)

@@ -6,13 +6,13 @@ from dataclasses import replace
 
 import pytest
 import torch
-from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits
+from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits, union
 
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import matrices_from_axis_angles
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
-from splatmorph.morph import Chain, Morph, average, mean_landmarks
+from splatmorph.morph import Chain, average, mean_landmarks
 from splatmorph.morph.transport import COVARIANCES
 
 A, B, C = (random_gaussians(n, degree=1, seed=n) for n in (30, 20, 25))
@@ -50,7 +50,7 @@ def assert_close(a: Gaussians, b: Gaussians, tolerance: float = 1e-4) -> None:
 def test_ends_are_the_inputs_bit_for_bit(
     frame: Similarity, covariance: str, split: float | None
 ) -> None:
-    morph = Morph(A, B, affine_flow(), frame=frame, covariance=covariance, split=split)
+    morph = union(A, B, affine_flow(), frame=frame, covariance=covariance, split=split)
     assert same_bits(morph.at(0), A)
     assert same_bits(morph.at(1), B)
     stable = replace(morph, stable_count=True)
@@ -68,7 +68,7 @@ def test_what_is_played_is_what_stays_moved_by_the_power_of_the_frame(
     frame: Similarity, covariance: str
 ) -> None:
     target = B.moved(frame)
-    morph = Morph(A, target, affine_flow(), frame=frame, covariance=covariance)
+    morph = union(A, target, affine_flow(), frame=frame, covariance=covariance)
     still = replace(morph, stay=True)
     for t, played, stayed in zip(TIMES, morph.sequence(TIMES), still.sequence(TIMES), strict=True):
         assert_close(played, stayed.moved(frame.power(t)))
@@ -79,7 +79,7 @@ def test_what_is_played_is_what_stays_moved_by_the_power_of_the_frame(
 @every_covariance
 def test_a_similarity_of_the_target_changes_nothing_but_the_frame(covariance: str) -> None:
     rest, done = similarity(10, 1.1, 0.1), similarity()
-    morph = Morph(A, B, affine_flow(), frame=rest, covariance=covariance, stay=True)
+    morph = union(A, B, affine_flow(), frame=rest, covariance=covariance, stay=True)
     away = replace(morph, target=B.moved(done), frame=done @ rest)
     for one, other in zip(morph.sequence(TIMES), away.sequence(TIMES), strict=True):
         assert_close(one, other)
@@ -91,8 +91,8 @@ def test_swapping_the_inputs_reverses_the_morph() -> None:
     there[:3, :3], there[:3, 3] = frame.scale * frame.rotation, frame.shift
     back = AffineFlow(torch.zeros(3, 3), torch.zeros(3))
     back.augmented.copy_(-there @ flow.augmented @ torch.linalg.inv(there))
-    forth = Morph(A, B, flow, frame=frame).at(0.3)
-    reversed_ = Morph(B, A, back, frame=frame.inverse()).at(0.7)
+    forth = union(A, B, flow, frame=frame).at(0.3)
+    reversed_ = union(B, A, back, frame=frame.inverse()).at(0.7)
     index = torch.cat([torch.arange(len(B), len(B) + len(A)), torch.arange(len(B))])
     assert_close(forth, reversed_.select(index))
 
@@ -101,7 +101,7 @@ def test_offsets_and_the_axis_up_go_from_one_end_to_the_other() -> None:
     source = replace(A, up="y", offset=(480_000.0, 5_400_000.0, 100.0))
     target = replace(B, up="z", offset=(0.0, 0.0, 0.0))
     frame = Similarity(torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), 1.0, torch.zeros(3))
-    morph = Morph(source, target, affine_flow(), frame=frame)
+    morph = union(source, target, affine_flow(), frame=frame)
     first, middle, last = morph.sequence([0, 0.5, 1])
     assert same_bits(first, source)
     assert (first.up, first.offset) == ("y", source.offset)
@@ -115,7 +115,7 @@ def test_offsets_and_the_axis_up_go_from_one_end_to_the_other() -> None:
 def chain(stay: bool = False) -> Chain:
     frames = similarity(), similarity(100, 0.01, -1)
     legs = [(A, B, frames[0]), (B, C, frames[1])]
-    return Chain([Morph(a, b, affine_flow(), frame=frame, stay=stay) for a, b, frame in legs])
+    return Chain([union(a, b, affine_flow(), frame=frame, stay=stay) for a, b, frame in legs])
 
 
 def test_a_chain_visits_its_splats_wherever_they_are() -> None:
@@ -136,7 +136,7 @@ def test_a_chain_that_stays_stays_with_the_first() -> None:
 
 def test_an_average_stands_where_its_common_shape_does() -> None:
     frames = [similarity(), similarity(20, 0.5, 1)]
-    mean = average([A, B], [affine_flow()] * 2, frames=frames)
+    mean = average([A, B], [affine_flow()] * 2, frames=frames, blend="union")
     expected = frames[0](affine_flow().trajectory(A.means, [1.0])[0])
     torch.testing.assert_close(mean.means[: len(A)], expected)
 

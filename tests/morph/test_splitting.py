@@ -9,13 +9,12 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits
+from morph_cases import AffineFlow, affine_flow, random_gaussians, same_bits, union
 
 from renderer import orbit, rasterize
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
 from splatmorph.images.quality import psnr
-from splatmorph.morph import Morph
 from splatmorph.morph.ramps import RAMPS
 from splatmorph.morph.splitting import SHARE, split, split_stretched
 from splatmorph.morph.transport import COVARIANCES
@@ -118,7 +117,7 @@ def test_only_what_is_stretched_is_split_and_as_often_as_need_be() -> None:
 @pytest.mark.parametrize("ramp", RAMPS)
 @pytest.mark.parametrize("covariance", COVARIANCES)
 def test_ends_and_beyond_are_as_without_splitting(ramp: str, covariance: str) -> None:
-    plain = Morph(SOURCE, TARGET, STRETCH, ramp=ramp, covariance=covariance)
+    plain = union(SOURCE, TARGET, STRETCH, ramp=ramp, covariance=covariance)
     morph = replace(plain, split=1.3)
     times = [-0.2, 0.0, 0.5, 1.0, 1.2]
     frames = list(morph.sequence(times))
@@ -131,16 +130,16 @@ def test_ends_and_beyond_are_as_without_splitting(ramp: str, covariance: str) ->
 
 def test_the_splits_are_the_same_whatever_times_are_asked_for() -> None:
     times = [0.1, 0.5, 0.9]
-    frames = list(Morph(SOURCE, TARGET, STRETCH, split=1.3).sequence(times))
+    frames = list(union(SOURCE, TARGET, STRETCH, split=1.3).sequence(times))
     assert len({len(frame) for frame in frames}) == 1
     for t, frame in zip(times, frames, strict=True):
-        alone = Morph(SOURCE, TARGET, STRETCH, split=1.3).at(t)
+        alone = union(SOURCE, TARGET, STRETCH, split=1.3).at(t)
         assert len(alone) == len(frame)
         torch.testing.assert_close(alone.means, frame.means)
 
 
 def test_stable_counts_keep_the_inputs_in_front_of_what_was_added() -> None:
-    morph = Morph(SOURCE, TARGET, STRETCH, split=1.3, stable_count=True)
+    morph = union(SOURCE, TARGET, STRETCH, split=1.3, stable_count=True)
     frames = dict(zip(times := [-0.5, 0.0, 0.5, 1.0, 1.5], morph.sequence(times), strict=True))
     assert len({len(frame) for frame in frames.values()}) == 1
     assert all(frame.opacity_logits.isfinite().all() for frame in frames.values())
@@ -174,18 +173,18 @@ def test_nothing_pops_where_splits_take_over() -> None:
         arrays = renderer_arrays(gaussians)
         return torch.from_numpy(rasterize(*arrays, view.viewmat, view.K, 128, 128)[0])
 
-    start, after = map(picture, Morph(source, source, flow, split=2).sequence([0.0, 1e-5]))
-    assert len(Morph(source, source, flow, split=2).at(1e-5)) == 4 * n
+    start, after = map(picture, union(source, source, flow, split=2).sequence([0.0, 1e-5]))
+    assert len(union(source, source, flow, split=2).at(1e-5)) == 4 * n
     assert psnr(after, start) > 38
 
 
 def test_a_flow_that_stretches_nothing_splits_nothing() -> None:
     still = AffineFlow(torch.zeros(3, 3), torch.zeros(3))
-    assert len(Morph(SOURCE, TARGET, still, split=1.01).at(0.5)) == len(SOURCE) + len(TARGET)
-    assert len(Morph(SOURCE, TARGET, affine_flow(), split=1e6).at(0.5)) == len(SOURCE) + len(TARGET)
+    assert len(union(SOURCE, TARGET, still, split=1.01).at(0.5)) == len(SOURCE) + len(TARGET)
+    assert len(union(SOURCE, TARGET, affine_flow(), split=1e6).at(0.5)) == len(SOURCE) + len(TARGET)
 
 
 @pytest.mark.parametrize("threshold", [1.0, 0.5, -2.0, math.inf, math.nan])
 def test_a_threshold_of_no_use_is_refused(threshold: float) -> None:
     with pytest.raises(OptionError, match="expected a number above 1"):
-        Morph(SOURCE, TARGET, affine_flow(), split=threshold)
+        union(SOURCE, TARGET, affine_flow(), split=threshold)

@@ -80,12 +80,12 @@ def shaded(splats: Gaussians, degree: int) -> Gaussians:
     return replace(splats, sh=torch.cat([splats.sh, more], 1))
 
 
-def subject(n: int = 1200, **options) -> Subject:
+def subject(n: int = 1200, blend: str = "union", **options) -> Subject:
     source, target = blob(n, 1, (0.7, 0.4, 0.2)), blob(n, 2, (0.2, 0.5, 0.7))
     flow = Swirl()
     points = source.means[:5].double()
     return Subject(
-        Morph(source, target, flow, **options),
+        Morph(source, target, flow, blend=blend, **options),
         source_points=points,
         target_points=flow(points, 1.0),
         landmark_names=tuple(f"mark {i}" for i in range(5)),
@@ -283,7 +283,9 @@ class TestPicture:
         write_page(tmp_path / "a.html", Scene.of(shown), background=GROUND)
         for ramp in RAMPS:
             browser.open(tmp_path / "a.html", f"controls=0&t=0.3&ramp={ramp}")
-            morph = Morph(shown.morph.source, shown.morph.target, shown.morph.flow, ramp=ramp)
+            morph = Morph(
+                shown.morph.source, shown.morph.target, shown.morph.flow, blend="union", ramp=ramp
+            )
             assert psnr(browser.screenshot() / 255, our_picture(browser, morph.at(0.3))) > 35
 
     @pytest.mark.parametrize("ramp", ["linear", "calibrated"])
@@ -331,7 +333,9 @@ class TestPicture:
             ours = our_picture(browser, cut.at(t))
             seen = browser.screenshot() / 255
             assert psnr(seen, ours) > 35, f"t = {t}"
-            flat = our_picture(browser, Morph(morph.source, morph.target, morph.flow).at(t))
+            flat = our_picture(
+                browser, Morph(morph.source, morph.target, morph.flow, blend="union").at(t)
+            )
             assert psnr(seen, ours) > psnr(seen, flat) + 6
 
     @pytest.mark.parametrize("stay", [False, True])
@@ -357,7 +361,7 @@ class TestPicture:
         turn = Similarity(torch.diag(torch.tensor([-1.0, -1, 1])), 2.0, torch.tensor([1.0, 2, 0]))
         first = replace(one.morph, target=one.morph.target.moved(turn), frame=turn, stay=True)
         third = blob(400, 5, (0.3, 0.7, 0.3)).moved(turn)
-        second = Morph(first.target, third, one.morph.flow, stay=True)
+        second = Morph(first.target, third, one.morph.flow, blend="union", stay=True)
         legs = tuple(Subject(morph) for morph in (first, second))
         chain = Scene((first.source, first.target, third), ("a", "b", "c"), legs)
         write_page(tmp_path / "a.html", chain, background=GROUND)
@@ -370,7 +374,7 @@ class TestPicture:
     def test_a_splat_alone_and_a_chain(self, browser, tmp_path):
         one, two = subject(600), subject(600)
         third = blob(600, 5, (0.3, 0.7, 0.3))
-        second = Morph(one.morph.target, third, two.morph.flow)
+        second = Morph(one.morph.target, third, two.morph.flow, blend="union")
         chain = Scene(
             (one.morph.source, one.morph.target, third),
             ("a", "b", "c"),

@@ -11,8 +11,9 @@ Everything is decided once a morph, at the middle shape, where both halves are c
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 
 import torch
 from torch import Tensor
@@ -21,9 +22,14 @@ from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.geometry.harmonics import SH0, rotate_sh
 from splatmorph.morph.agreement import colour, fade, lead, melt
 from splatmorph.morph.agreement.neighbours import Neighbours
-from splatmorph.morph.agreement.views import views_of
+from splatmorph.morph.agreement.views import SIZE, views_of
 from splatmorph.morph.transport import Drift, drifted
 from splatmorph.rendering import bounds, renderer_arrays
+
+OnStep = Callable[[int, int], None]
+"""Called with the steps done and the steps in all."""
+
+Tick = Callable[[], None]
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,13 @@ class Meeting:
             other end: sums to 1 in a morph, where each becomes the other.
         way: how much of that it has taken on at the common shape.
         held: (m, 3) points of the common shape where nothing melts: the landmarks.
+        tick: called after each of ``steps``.
     """
+
+    @staticmethod
+    def steps(parts: int) -> int:
+        """How many steps it takes for so many parts."""
+        return 1 + parts * (1 + colour.ROUNDS)
 
     def __init__(
         self,
@@ -81,45 +93,54 @@ class Meeting:
         goals: Sequence[Sequence[float]],
         way: float,
         held: Tensor,
+        tick: Tick,
     ) -> None:
         rest, middle = (list(map(_on_cpu, parts)) for parts in (rest, middle))
         around = bounds(*middle)
         self.views, radius = views_of(around), around.radius
+        self.coarse = views_of(around, size=SIZE // 2)
         self.near = [Neighbours(part) for part in middle]
         offsets, self.alone = melt.offsets(middle, self.near, goals, radius, held)
         self.parts = [
             replace(part, means=part.means + way * offset)
             for part, offset in zip(middle, offsets, strict=True)
         ]
-        self.shown = [
-            [view.picture(arrays) for view in self.views]
-            for arrays in map(renderer_arrays, self.parts)
-        ]
+        tick()
+        self.shown, self.small = [], []
+        for arrays in map(renderer_arrays, self.parts):
+            self.shown.append([view.picture(arrays) for view in self.views])
+            self.small.append([view.picture(arrays) for view in self.coarse])
+            tick()
         self.drifts = []
         for i, (start, offset) in enumerate(zip(rest, offsets, strict=True)):
             slope = melt.slopes(start, offset, self.near[i])
-            sh = self._recoloured(i, goals[i], radius)
+            sh = self._recoloured(i, goals[i], radius, tick)
             turn = turns[i]
             if turn is not None and start.sh_degree:
                 sh = rotate_sh(sh, turn.mT)
             self.drifts.append(Drift(offset, slope, sh))
 
-    def _recoloured(self, i: int, shares: Sequence[float], radius: float) -> Tensor:
+    def _recoloured(self, i: int, shares: Sequence[float], radius: float, tick: Tick) -> Tensor:
         """The change (n, k, 3) of the colours of part ``i`` at the common shape."""
-        part, near, mine = self.parts[i], self.near[i], self.shown[i]
+        part, near, mine = self.parts[i], self.near[i], self.small[i]
         kept = [j for j, share in enumerate(shares) if share and j != i]
         shares = [shares[j] for j in kept]
         goals = [
-            colour.goal(own, [self.shown[j][k] for j in kept], shares, radius)
+            colour.goal(own, [self.small[j][k] for j in kept], shares, radius)
             for k, own in enumerate(mine)
         ]
-        changed, trust = colour.change(part, self.views, mine, goals, near)
+        changed, trust = colour.change(part, self.coarse, mine, goals, near, tick)
         sh = changed[:, None] / SH0
         if part.sh_degree:
             others = [self.parts[j] for j in kept]
             bands = colour.view_dependence(part, others, shares, near)
             sh = torch.cat([sh, trust[:, None, None] * bands], 1)
         return sh
+
+
+def _ticks(total: int, on_step: OnStep | None) -> Tick:
+    steps = count(1)
+    return lambda: on_step(next(steps), total) if on_step else None
 
 
 def _on_cpu(gaussians: Gaussians) -> Gaussians:
@@ -134,22 +155,30 @@ def agree(
     middle: Sequence[Gaussians],
     turns: Sequence[Tensor | None],
     held: Tensor,
+    on_step: OnStep | None = None,
 ) -> list[Agreement]:
     """How the two halves of a morph agree; arguments as for ``Meeting``."""
     if not any((part.opacities > FAINTEST_DRAWN).any() for part in middle):
         return [Agreement.none(half) for half in rest]
-    meeting = Meeting(rest, middle, turns, [[0, 1], [1, 0]], 0.5, held)
+    tick = _ticks(Meeting.steps(2) + 3, on_step)
+    meeting = Meeting(rest, middle, turns, [[0, 1], [1, 0]], 0.5, held, tick)
     leads = lead.leads(meeting.parts, meeting.views, meeting.shown, meeting.near)
-    densities = [
-        fade.densities(part, alone, meeting.views, near)
-        for part, alone, near in zip(meeting.parts, meeting.alone, meeting.near, strict=True)
-    ]
+    tick()
+    densities = []
+    for part, alone, near in zip(meeting.parts, meeting.alone, meeting.near, strict=True):
+        densities.append(fade.densities(part, alone, meeting.coarse, near))
+        tick()
     return [Agreement(*parts) for parts in zip(meeting.drifts, leads, densities, strict=True)]
 
 
 @torch.no_grad()
 def agreed_parts(
-    parts: Sequence[Gaussians], weights: Sequence[float], held: Tensor, *, stretch: bool
+    parts: Sequence[Gaussians],
+    weights: Sequence[float],
+    held: Tensor,
+    *,
+    stretch: bool,
+    on_step: OnStep | None = None,
 ) -> list[Gaussians]:
     """Parts that agree, to be averaged.
 
@@ -162,7 +191,8 @@ def agreed_parts(
     degree = max(part.sh_degree for part in parts)
     parts = [part.with_sh_degree(degree) for part in parts]
     goals = [[w * (i != j) for j, w in enumerate(weights)] for i in range(len(weights))]
-    meeting = Meeting(parts, parts, [None] * len(parts), goals, 1.0, held)
+    tick = _ticks(Meeting.steps(len(parts)), on_step)
+    meeting = Meeting(parts, parts, [None] * len(parts), goals, 1.0, held, tick)
     return [
         drifted(part, drift, stretch=stretch)
         for part, drift in zip(parts, meeting.drifts, strict=True)

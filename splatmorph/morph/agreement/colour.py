@@ -7,7 +7,7 @@ missing is read back too (the method of simultaneous iterations, SIRT, of tomogr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -22,8 +22,8 @@ from splatmorph.rendering import renderer_arrays
 FAR = 0.06
 """Of the radius: surfaces further apart have nothing to do with each other."""
 
-COARSE = 2.0
-"""Pixels of the views: finer detail of the difference is left out, and stays a splat's own."""
+COARSE = 1.0
+"""Pixels of the coarse views: finer detail of the difference stays a splat's own."""
 
 ROUNDS = 3
 """Rounds of reading back."""
@@ -72,6 +72,7 @@ def change(
     mine: Sequence[Picture],
     goals: Sequence[Goal],
     around: Neighbours,
+    tick: Callable[[], None],
 ) -> tuple[Tensor, Tensor]:
     """The change (n, 3) of RGB that makes ``part`` look like its goals, and its trust (n,).
 
@@ -79,27 +80,36 @@ def change(
         part: the splats at the common shape.
         views: from where, with the pictures of ``part`` as ``mine``.
         around: the neighbours in ``part``.
+        tick: called after each round.
     """
     arrays = renderer_arrays(part)
-    totals = torch.zeros(len(part), 2)
-    for view, wanted in zip(views, goals, strict=True):
-        totals += view.gather(arrays, [wanted.same, torch.ones_like(wanted.same)])
-    total, seen = totals.unbind(1)
+    sums = torch.zeros(len(part), 5)
+    for view, own, wanted in zip(views, mine, goals, strict=True):
+        whole = torch.ones_like(wanted.same)
+        sums += view.gather(arrays, [wanted.same, whole, *_missing(wanted, own)])
+    total, seen = sums[:, :2].unbind(1)
     trust = (total / (total + ALONE * seen + 1e-3))[:, None]
-    sure = total / (total + UNSURE)
-    changed = part.means.new_zeros(len(part), 3)
-    for rounds in range(ROUNDS):
-        step = torch.zeros(len(part), 3)
-        coloured = renderer_arrays(recoloured(part, changed))
-        for view, own, wanted in zip(views, mine, goals, strict=True):
-            shown = view.picture(coloured).rgb if rounds else own.rgb
-            weight = blurred(wanted.same[None], COARSE).clamp_min(1e-4)
-            missing = blurred((wanted.rgb - shown) * wanted.same, COARSE) / weight * wanted.same
-            step += view.gather(arrays, missing.unbind(0))
-        step /= total.clamp_min(1e-6)[:, None]
-        nearby = around.means(step, sure)
-        changed += PUSH * trust * torch.lerp(nearby, step, sure[:, None])
+    sure = (total / (total + UNSURE))[:, None]
+    changed = torch.zeros(len(part), 3)
+    step = sums[:, 2:]
+    for left in reversed(range(ROUNDS)):
+        step = step / total.clamp_min(1e-6)[:, None]
+        nearby = around.means(step, sure[:, 0])
+        changed += PUSH * trust * torch.lerp(nearby, step, sure)
+        tick()
+        if left:
+            coloured = renderer_arrays(recoloured(part, changed))
+            step = torch.zeros(len(part), 3)
+            for view, wanted in zip(views, goals, strict=True):
+                step += view.gather(arrays, _missing(wanted, view.picture(coloured)))
     return changed, trust[:, 0]
+
+
+def _missing(wanted: Goal, shown: Picture) -> Sequence[Tensor]:
+    """What a picture lacks of what is wanted, three of (h, w)."""
+    weight = blurred(wanted.same[None], COARSE).clamp_min(1e-4)
+    missing = blurred((wanted.rgb - shown.rgb) * wanted.same, COARSE) / weight * wanted.same
+    return missing.unbind(0)
 
 
 def recoloured(part: Gaussians, change: Tensor) -> Gaussians:
