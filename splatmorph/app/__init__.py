@@ -19,7 +19,7 @@ from renderer.errors import RenderError
 from splatmorph._version import __version__
 from splatmorph.app import console
 from splatmorph.app.ranges import RangeError, check_ranges
-from splatmorph.errors import SplatmorphError
+from splatmorph.errors import OptionError, SplatmorphError
 
 
 def _commands() -> dict[str, str]:
@@ -60,7 +60,10 @@ def launch(
     """Morph one 3D Gaussian splat into another, by flows."""
     console.manner.quiet, console.manner.verbose = quiet, verbose
     console.listen()
-    command, given, _ = app.parse_args(tokens, exit_on_error=False, print_error=True)
+    try:
+        command, given, _ = app.parse_args(tokens, exit_on_error=False, print_error=True)
+    except OptionError as error:
+        raise RangeError(console.spoken(error)) from error
     check_ranges(given.arguments)
     code: int | None = command(*given.args, **given.kwargs)
     return code

@@ -85,10 +85,9 @@ def bake(
     shift = write_measured(file, loaded.gaussians, [comment])
     landmarks.write(beside)
     console.say(
-        f"wrote {file}: {len(loaded.gaussians):,} splats, posed {loaded.posed}"
-        f"{lossy(file, shift)}\n"
-        f"wrote {beside}: {len(landmarks)} landmarks"
+        f"wrote {file}: {len(loaded.gaussians):,} splats, posed {loaded.posed}{lossy(file, shift)}"
     )
+    console.say(f"wrote {beside}: {len(landmarks)} landmarks")
 
 
 def _write_track(avatar: Avatar, track: Track, folder: Path, overwrite: bool) -> None:

@@ -123,7 +123,8 @@ def batch(
         console.emit_json({"pairs": [dataclasses.asdict(result) for result in results]})
     else:
         console.say(_table(results))
-        console.say(f"\nwrote {folder / SUMMARY}")
+        console.say("")
+        console.say(f"wrote {folder / SUMMARY}")
     failed = [result.name for result in results if result.status == "failed"]
     if failed:
         raise FitError(

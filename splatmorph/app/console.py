@@ -12,7 +12,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import (
@@ -36,8 +36,9 @@ INTERRUPTED = 130
 MISSED = 3
 """Exit code of a command whose morph doesn't meet what was asked."""
 
-out = Console(highlight=False, soft_wrap=True)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+# No emoji: file names are printed as they are.
+out = Console(highlight=False, soft_wrap=True, emoji=False)
+err = Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
 
 SHORT = {"out": "-o", "overwrite": "-w"}
 """Options that people know by one letter."""
@@ -76,27 +77,32 @@ manner = Manner()
 
 
 def say(*parts: object) -> None:
-    """Print a result, unless ``--quiet``. Text is printed as it is: no markup in file names."""
+    """Print a result, each text a line, unless ``--quiet``. No markup is seen in file names."""
     if not manner.quiet:
-        out.print(*parts, markup=False)
+        shown = (one_line(part) if isinstance(part, str) else part for part in parts)
+        out.print(*shown, markup=False)
 
 
 def note(message: str) -> None:
     """Print a line of progress to stderr, unless ``--quiet``."""
     if not manner.quiet:
-        err.print(message, markup=False)
+        err.print(one_line(message), markup=False)
 
 
 def warn(message: str) -> None:
     """Print a warning to stderr, unless ``--quiet``."""
     if not manner.quiet:
-        err.print(f"warning: {spoken(message)}", style="yellow", markup=False)
+        err.print(f"warning: {one_line(spoken(message))}", style="yellow", markup=False)
 
 
 def fail(message: str) -> None:
     """Print the one line of an error to stderr, whatever the manner."""
-    line = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in spoken(message))
-    err.print(f"error: {line}", style="red", markup=False)
+    err.print(f"error: {one_line(spoken(message))}", style="red", markup=False)
+
+
+def one_line(text: str) -> str:
+    """``text`` without what a file name may hold to break the line or to steer the terminal."""
+    return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def spoken(message: object) -> str:
@@ -132,9 +138,16 @@ def emit_json(value: Mapping[str, object]) -> None:
     out.print_json(json.dumps(value, allow_nan=False, default=str), indent=2, highlight=False)
 
 
+class _Lines(Table):
+    """A table whose rows are a line each."""
+
+    def add_row(self, *cells: Any, **options: Any) -> None:
+        super().add_row(*map(one_line, cells), **options)
+
+
 def table(*columns: str, title: str | None = None) -> Table:
     """A plain table: the first column text, the others numbers."""
-    made = Table(title=title, box=None, pad_edge=False, title_justify="left")
+    made = _Lines(title=title, box=None, pad_edge=False, title_justify="left")
     for i, column in enumerate(columns):
         made.add_column(column, justify="left" if i == 0 else "right")
     return made

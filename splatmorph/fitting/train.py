@@ -196,6 +196,7 @@ class _Attempt:
         }
         return FitState(tensors, meta)
 
+    @torch.no_grad()
     def restore(self, state: FitState) -> None:
         try:
             attempt, step, best_step = (
@@ -208,15 +209,20 @@ class _Attempt:
             self.best_mse = float(state.meta["best_mse"])
             weights = self.objective.module.state_dict()
             self.best = _under("best.", state.tensors, weights) or {}
+            if self.best:
+                self.objective.module.load_state_dict(self.best)
+                if not math.isfinite(self.objective.mse()):
+                    raise ValueError("its best carries landmarks to infinity")
             self.objective.module.load_state_dict(_under("flow.", state.tensors, weights) or {})
             for i, parameter in enumerate(self.parameters):
                 moments = dict.fromkeys(("exp_avg", "exp_avg_sq"), parameter)
                 like = {"step": torch.zeros(()), **moments}
                 kept = _under(f"adam.{i}.", state.tensors, like)
                 if kept is not None:
+                    kept["step"].fill_(step)
                     self.optimizer.state[parameter] = kept
             self.generator.set_state(state.tensors["generator"])
-        except (LookupError, ValueError, TypeError, RuntimeError) as error:
+        except (ArithmeticError, LookupError, ValueError, TypeError, RuntimeError) as error:
             raise OptionError(
                 f"{state.origin} is of another flow or version ({error}): fit anew"
             ) from error

@@ -23,7 +23,7 @@ from safetensors.torch import load_file, save
 from torch import Tensor
 
 from splatmorph._version import __version__
-from splatmorph.errors import OptionError, ReadError, RunError
+from splatmorph.errors import OptionError, ReadError, RunError, SplatmorphError
 from splatmorph.fitting import FitReport
 from splatmorph.flows import Flow, flow_from_config
 from splatmorph.gaussians import Gaussians
@@ -40,6 +40,8 @@ FORMAT = 2
 SIDES = ("source", "target")
 MOST_STEPS = 10_000
 """Integers of a flow's options that are no sizes are below this."""
+PROBES = 64
+"""Landmarks that a flow which is read has to carry somewhere."""
 MANIFEST, WEIGHTS, HISTORY, REPORT = "morph.json", "flow.safetensors", "history.csv", "report.json"
 
 
@@ -251,20 +253,23 @@ def _leg(i: int, stored: Any, tensors: Mapping[str, Tensor], report: Any) -> Leg
     prefix = f"{i}."
     own = {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
     _check_sizes(stored["flow"], own)
+    _check_report(report)
+    names = tuple(str(name) for name in stored["names"])
     try:
         flow = flow_from_config(stored["flow"])
-    except OptionError as error:
+        flow.load_state_dict(own)
+        frame = Similarity.from_dict(stored["frame"])
+        points = [
+            Landmarks(torch.tensor(stored[f"{side}_points"], dtype=torch.float64), names)
+            for side in SIDES
+        ]
+    except SplatmorphError as error:
+        # It names no file.
         raise ValueError(error) from error
-    flow.load_state_dict(own)
-    frame = Similarity.from_dict(stored["frame"])
-    names = tuple(str(name) for name in stored["names"])
-    points = [
-        Landmarks(torch.tensor(stored[f"{side}_points"], dtype=torch.float64), names)
-        for side in SIDES
-    ]
     if frame.dim != flow.dim or any(side.dim != flow.dim for side in points):
         raise ValueError(f"landmarks of {points[0].dim} dimensions and a flow of {flow.dim}")
-    _check_report(report)
+    if not torch.isfinite(flow(points[0].points[:PROBES], 1.0)).all():
+        raise ValueError("a flow that carries its own landmarks to infinity")
     return Leg(flow, frame, points[0].points, points[1].points, names, report)
 
 

@@ -52,6 +52,28 @@ def test_terminals_without_arrows(pair: Path, encoding: str) -> None:
     assert b"a -> b" in done.stdout
 
 
+@pytest.mark.parametrize("encoding", ["", "cp1252"])
+def test_a_locale_without_letters_and_a_name_that_steers_the_terminal(
+    pair: Path, tmp_path: Path, encoding: str
+) -> None:
+    odd = tmp_path / "Größe\n\x1b[2J :bomb: →.ply"
+    odd.write_bytes((pair / "a.ply").read_bytes())
+    plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    for arguments in (["inspect", str(odd)], ["view", str(odd), "-o", str(tmp_path / "x.html")]):
+        done = subprocess.run(
+            [*COMMAND, *arguments],
+            env=_environment(PYTHONIOENCODING=encoding, **plain),
+            capture_output=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        assert done.stderr.count(b"\n") <= 1
+        assert b"\x1b" not in done.stdout
+        if arguments[0] == "inspect":
+            assert b":bomb:" in done.stdout.splitlines()[0]
+            assert done.stdout.splitlines()[1].strip().startswith(b"kind")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
 def test_output_that_is_full_or_closed(pair: Path) -> None:
     for place, code in (("> /dev/full", 1), (">&-", 0), ("2>&- >&-", 0)):
@@ -89,6 +111,8 @@ def test_a_command_that_is_stopped_leaves_nothing_behind(
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
+        # Tests that run in the background ignore it, and so would the command.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )
     begun = time.monotonic()
     while not list(tmp_path.iterdir()) and time.monotonic() < begun + 60:

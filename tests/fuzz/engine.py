@@ -123,7 +123,7 @@ def complaint(reader: Reader, path: Path, *, refused: bool = False) -> str | Non
         reader.read(path)
         found = "it was read" if refused else None
     except (SplatmorphError, RenderError) as error:
-        found = _refusal(error, path if reader.names_file else None)
+        found = _refusal(error, path)
     except _TooSlowError:
         found = "it was still being read"
     except BaseException as error:
@@ -139,12 +139,12 @@ def complaint(reader: Reader, path: Path, *, refused: bool = False) -> str | Non
     return found
 
 
-def _refusal(error: Exception, path: Path | None) -> str | None:
+def _refusal(error: Exception, path: Path) -> str | None:
     text = str(error)
     if not text.isprintable():
         return f"no one line: {text!r}"
     # A run's folder stands for its files.
-    if path and str(path) not in text and str(path.parents[1]) not in text:
+    if str(path) not in text and str(path.parents[1]) not in text:
         return f"it isn't named: {text}"
     if isinstance(error.__cause__, MemoryError):
         return f"it took all memory: {text}"

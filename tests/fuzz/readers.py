@@ -23,6 +23,7 @@ from splatmorph.avatars.places import find_avatar, is_local
 from splatmorph.avatars.rig import read_local
 from splatmorph.avatars.track import Track
 from splatmorph.avatars.unpickle import as_array, load_pickle
+from splatmorph.errors import RunError, SplatmorphError
 from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
 from splatmorph.images import Canvas, Picture, read_pair, read_points
@@ -43,8 +44,6 @@ class Reader:
     """Makes whole files in a folder."""
     read: Callable[[Path], Any]
     """Reads a damaged one, which has the name of the whole one."""
-    names_file: bool = True
-    """Whether what is refused names the file: a whole run may be refused for what it does."""
 
 
 def _splat(path: Path) -> None:
@@ -112,9 +111,11 @@ def _run(path: Path) -> None:
         (folder / MANIFEST).write_text(json.dumps(manifest))
     run = open_run(folder)
     read_history(folder)
-    for leg in run.legs:
-        leg.flow(leg.source_points, 0.5)
-    run.morph().at(0.5)
+    try:
+        run.morph().at(0.5)
+    except SplatmorphError as error:
+        # What a whole run does is refused, no file.
+        raise RunError(f"{folder}: {error}") from error
 
 
 def state_files(folder: Path) -> list[Path]:
@@ -174,8 +175,8 @@ READERS = {
     "mesh": Reader(seeds.mesh_files, _mesh),
     "pairs": Reader(seeds.pair_files, read_pairs),
     "table": Reader(seeds.table_files, read_rows),
-    "run": Reader(run_files, _run, names_file=False),
-    "state": Reader(state_files, _state, names_file=False),
+    "run": Reader(run_files, _run),
+    "state": Reader(state_files, _state),
     "plan": Reader(plan_files, _plan),
 }
 SLOW = {"run": 10, "state": 200, "plan": 4, "picture": 2}

@@ -111,10 +111,11 @@ def write_page(
         "facts": _facts(scene, counts, report),
         "about": _about(scene, report),
     }
-    page = _page(scene.title, told, _poster(scene, up), payload)
+    # File names may hold bytes that are no text.
+    page = _page(scene.title, told, _poster(scene, up), payload).encode(errors="replace")
     with atomic_write(path) as partial:
-        partial.write_text(page, encoding="utf-8")
-    return replace(report, size=len(page.encode()))
+        partial.write_bytes(page)
+    return replace(report, size=len(page))
 
 
 def _in_order(splats: Gaussians, index: torch.Tensor) -> torch.Tensor:
