@@ -7,6 +7,7 @@ from pathlib import Path
 from splatmorph.app import console
 from splatmorph.app.options import Out, Overwrite, Searching, Seed, Splat
 from splatmorph.registration import find_landmarks
+from splatmorph.registration.masks import without_masked
 from splatmorph.runs.inputs import load_splat
 
 DEFAULT_SEARCH = Searching()
@@ -28,13 +29,14 @@ def landmarks(
     Look at them, delete what is wrong, add what is missing: each has a confidence.
     """
     loaded = load_splat(source), load_splat(target)
+    a, b = (without_masked(one.gaussians, one.path) for one in loaded)
     paths = [_path_of(one.path, one.name, out) for one in loaded]
     for path in paths:
         console.claim(path, overwrite)
     with console.progress("looking for landmarks") as update:
         found = find_landmarks(
-            loaded[0].gaussians,
-            loaded[1].gaussians,
+            a,
+            b,
             searching.method,
             count=searching.count,
             face_model=searching.face_model,

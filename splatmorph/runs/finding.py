@@ -9,6 +9,7 @@ from typing import Any
 
 from splatmorph.landmarks import Landmarks
 from splatmorph.registration import Found, find_landmarks, refine_landmarks
+from splatmorph.registration.masks import without_masked
 from splatmorph.registration.search import COUNT, Box, OnStep
 from splatmorph.runs.inputs import Input
 
@@ -53,11 +54,12 @@ class Finding:
             "seed": self.seed,
             "on_step": on_step,
         }
+        a, b = (without_masked(one.gaussians, one.path) for one in (source, target))
         if given[0] is not None and given[1] is not None:
             if not self.refine:
                 return None
             pair: tuple[Landmarks, Landmarks] = given[0], given[1]
-            found = refine_landmarks(source.gaussians, target.gaussians, pair, **shared)
+            found = refine_landmarks(a, b, pair, **shared)
         elif not self.auto:
             return None
         else:
@@ -66,13 +68,7 @@ class Finding:
                     on_warning(
                         f"{one.name} has landmarks and {other.name} has none: both are looked for"
                     )
-            found = find_landmarks(
-                source.gaussians,
-                target.gaussians,
-                self.method,
-                face_model=self.face_model,
-                **shared,
-            )
+            found = find_landmarks(a, b, self.method, face_model=self.face_model, **shared)
         if on_warning is not None:
             for warning in found.warnings:
                 on_warning(warning)

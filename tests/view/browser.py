@@ -41,9 +41,9 @@ def find_browser() -> str | None:
 
 
 class Browser:
-    """One page in a browser of its own, cut off from the network."""
+    """One page in a browser of its own, cut off from the network unless ``offline`` is False."""
 
-    def __init__(self, program: str, width: int, height: int) -> None:
+    def __init__(self, program: str, width: int, height: int, *, offline: bool = True) -> None:
         self.profile = tempfile.mkdtemp(prefix="splatmorph-browser-")
         self.events: list[dict[str, Any]] = []
         self.requested = 0
@@ -76,7 +76,7 @@ class Browser:
             self.call(f"{domain}.enable")
         self.call(
             "Network.emulateNetworkConditions",
-            offline=True,
+            offline=offline,
             latency=0,
             downloadThroughput=0,
             uploadThroughput=0,
@@ -121,10 +121,14 @@ class Browser:
 
     def open(self, path: Path, fragment: str = "") -> None:
         """Load a page from disk and wait until it has drawn and come to rest."""
+        self.visit(f"{path.resolve().as_uri()}#{fragment}")
+        self.rest()
+
+    def visit(self, address: str) -> None:
+        """Go to an address, all that was heard before forgotten."""
         self.call("Page.navigate", url="about:blank")
         self.events.clear()
-        self.call("Page.navigate", url=f"{path.resolve().as_uri()}#{fragment}")
-        self.rest()
+        self.call("Page.navigate", url=address)
 
     def rest(self) -> None:
         """Wait until the picture stands still in full quality, or the page says what is wrong."""

@@ -7,14 +7,11 @@ and pictures that the page itself holds, and nothing else: no other script, no c
 from __future__ import annotations
 
 import base64
-import hashlib
 import html
 import io
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 
 import torch
@@ -27,6 +24,7 @@ from splatmorph.io.atomic import atomic_write
 from splatmorph.morph.ramps import DEFAULT_RAMP
 from splatmorph.rendering import render
 from splatmorph.view.page.coding import along_curve, one_block
+from splatmorph.view.page.joining import digest, filled, joined, read_text
 from splatmorph.view.page.pack import first_camera, pack
 from splatmorph.view.scene import Scene
 from splatmorph.view.subject import thin
@@ -133,11 +131,10 @@ def _poster(scene: Scene, up: str) -> str:
 
 
 def _page(title: str, scene: Mapping[str, object], poster: str, payload: str) -> str:
-    here = files(__package__)
-    style = here.joinpath("style.css").read_text(encoding="utf-8")
-    script = "\n".join(here.joinpath(name).read_text(encoding="utf-8") for name in SCRIPTS)
+    style = read_text(__package__, "style.css")
+    script = joined((__package__, name) for name in SCRIPTS)
     policy = (
-        f"default-src 'none'; script-src '{_digest(script)}'; style-src '{_digest(style)}'; "
+        f"default-src 'none'; script-src '{digest(script)}'; style-src '{digest(style)}'; "
         "img-src data:; base-uri 'none'; form-action 'none'"
     )
     parts = {
@@ -151,12 +148,7 @@ def _page(title: str, scene: Mapping[str, object], poster: str, payload: str) ->
         "poster": poster,
         "payload": payload,
     }
-    skeleton = here.joinpath("index.html").read_text(encoding="utf-8")
-    return re.sub(r"\{\{(\w+)\}\}", lambda found: parts[found[1]], skeleton)
-
-
-def _digest(text: str) -> str:
-    return "sha256-" + base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
+    return filled(read_text(__package__, "index.html"), parts)
 
 
 def _hex(colour: tuple[float, float, float] | None) -> str | None:

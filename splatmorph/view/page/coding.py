@@ -48,11 +48,14 @@ class Table:
         return [self.values.dtype.str[1:], rows, columns, int(self.delta), self.stride, self.times]
 
 
-def one_block(tables: Mapping[str, Table]) -> tuple[dict[str, list[Any]], str]:
-    """The facts of each table in their order, and all of them deflated and in base64."""
+def one_block(tables: Mapping[str, Table], level: int = 9) -> tuple[dict[str, list[Any]], str]:
+    """The facts of each table in their order, and all of them deflated and in base64.
+
+    ``level`` is deflate's: 9 for the smallest file, 1 for what is read once and at once.
+    """
     block = b"".join(table.folded() for table in tables.values())
     facts = {name: table.facts() for name, table in tables.items()}
-    return facts, base64.b64encode(zlib.compress(block, 9)).decode()
+    return facts, base64.b64encode(zlib.compress(block, level)).decode()
 
 
 def along_curve(points: NDArray[np.floating[Any]]) -> NDArray[np.intp]:

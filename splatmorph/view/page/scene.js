@@ -41,6 +41,10 @@ async function readScene(progress) {
   const holder = document.getElementById("payload");
   const text = holder.textContent;
   holder.remove();
+  return unpacked(scene, text, progress);
+}
+
+async function unpacked(scene, text, progress) {
   const sizeOf = ([type, rows, columns]) => rows * columns * ARRAY_TYPES[type].BYTES_PER_ELEMENT;
   const tables = Object.entries(scene.tables);
   const block = await inflated(text, tables.reduce((sum, [, facts]) => sum + sizeOf(facts), 0), progress);
