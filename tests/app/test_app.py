@@ -18,7 +18,7 @@ import torch
 from PIL import Image
 
 from splatmorph import io
-from splatmorph.app import console, run
+from splatmorph.app import console
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import matrices_from_axis_angles
 from splatmorph.geometry.similarity import Similarity
@@ -36,19 +36,6 @@ Run = Callable[..., tuple[int, str, str]]
 def bend(points: torch.Tensor) -> torch.Tensor:
     x, y, z = points.unbind(-1)
     return torch.stack([1.2 * x + 0.1 * y**2, y + 0.2 * x, 0.9 * z + 0.1 * x * y], -1)
-
-
-@pytest.fixture
-def cli(capsys: pytest.CaptureFixture[str]) -> Iterator[Run]:
-    """``cli("fit", a, b)`` → exit code, stdout, stderr."""
-
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run([str(word) for word in words])
-        return (code, *capsys.readouterr())
-
-    yield call
-    console.manner.quiet = console.manner.verbose = False
 
 
 @pytest.fixture
@@ -418,6 +405,7 @@ def test_usage_errors_exit_with_2(pair: tuple[Path, Path], cli: Run) -> None:
     failed(cli("render", "a.ply", "--size", "big"), "WIDTHxHEIGHT", code=2)
     failed(cli("render", "a.ply", "--background", "sky"), "no colour", code=2)
     failed(cli("export", "a.ply", "--t", "soon"), "no time", code=2)
+    failed(cli("export", "a.ply", "--format", "obj"), "compressed.ply, glb", code=2)
     assert cli("--help")[0] == cli("--version")[0] == 0
 
 

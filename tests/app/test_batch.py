@@ -6,6 +6,7 @@ import contextlib
 import csv
 import json
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -22,16 +23,9 @@ Batch = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def batch(capsys: pytest.CaptureFixture[str]) -> Iterator[Batch]:
+def batch(cli: Batch) -> Batch:
     """``batch(table, ...)`` → exit code, stdout, stderr."""
-
-    def call(*words: object) -> tuple[int, str, str]:
-        capsys.readouterr()
-        code = run(["batch", *map(str, words)])
-        return (code, *capsys.readouterr())
-
-    yield call
-    console.manner.quiet = console.manner.verbose = False
+    return partial(cli, "batch")
 
 
 @pytest.fixture
