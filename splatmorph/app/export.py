@@ -40,6 +40,13 @@ from splatmorph.runs.run import MANIFEST, WEIGHTS, Run, open_run
 
 AXES = {"y-up": "y", "y-down": "-y", "z-up": "z"}
 SAMPLES, FRAMES = 25, 5
+FRAME_FORMATS = [one[1:] for one in io.written() if one[0] == "." and not io.FORMATS[one].animated]
+"""Of the frames in a folder."""
+
+
+def _check_kind(type_: Any, kind: str | None) -> None:
+    if kind is not None and kind not in FRAME_FORMATS:
+        raise ValueError(f"Choose one of {', '.join(FRAME_FORMATS)}.")
 
 
 def export(
@@ -53,8 +60,12 @@ def export(
     ] = None,
     t: TimesOption = None,
     format: Annotated[
-        Literal["ply", "compressed.ply", "spz", "sog", "splat", "glb", "gltf"] | None,
-        Parameter(help="ply by default, which alone keeps every bit; the others are smaller."),
+        str | None,
+        Parameter(
+            validator=_check_kind,
+            help="ply by default, which alone keeps every bit; the others are smaller: "
+            f"{', '.join(FRAME_FORMATS)}.",
+        ),
     ] = None,
     axes: Annotated[
         Literal["y-up", "y-down", "z-up"] | None,
