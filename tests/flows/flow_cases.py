@@ -1,6 +1,8 @@
-"""Flows with drawn weights, and points near them."""
+"""Flows with drawn weights, points near them, and the laws that any flow is held to."""
 
 from __future__ import annotations
+
+import json
 
 import torch
 from torch import Tensor
@@ -13,6 +15,7 @@ from splatmorph.flows import (
     SirenField,
     SplineField,
     ThinPlate,
+    flow_from_config,
     make_flow,
 )
 from splatmorph.flows.spline import SplineInterpolant
@@ -55,3 +58,37 @@ def points(flow: Flow, count: int, seed: int, dtype: torch.dtype = torch.float64
 
 def gap(flow: Flow, a: Tensor, b: Tensor) -> float:
     return float((a - b).norm(dim=-1).max() / flow.scale)
+
+
+def keeps_the_group(flow: Flow, s: float, t: float, within: float, seed: int = 0) -> None:
+    """Φ₀ = id, Φ₋ₜ∘Φₜ = id and Φₜ∘Φₛ = Φₛ₊ₜ, ``within`` frame units."""
+    x = points(flow, 20, seed)
+    # Rounding, through every coupling there and back.
+    assert gap(flow, flow(x, 0.0), x) < 1e-13
+    assert gap(flow, flow(flow(x, t), -t), x) < within
+    assert gap(flow, flow(flow(x, s), t), flow(x, s + t)) < within
+
+
+def differentiates_itself(flow: Flow, seed: int = 0) -> None:
+    """The Jacobians of Φ and of the velocity are finite differences."""
+    x = points(flow, 8, seed)
+    # Knots of every integrator: the derivative is the very one of the steps taken.
+    times = (0.625, -0.375)
+    path, transported = flow.trajectory_jacobian(x, list(times))
+    assert gap(flow, path[0], flow(x, times[0])) < 1e-6
+    slope = flow.velocity_jacobian(x)
+    h = 1e-5
+    for j, step in enumerate(torch.eye(flow.dim, dtype=torch.float64) * h):
+        for k, t in enumerate(times):
+            difference = (flow(x + step, t) - flow(x - step, t)) / (2 * h)
+            assert torch.allclose(transported[k, :, :, j], difference, atol=1e-4)
+        difference = (flow.velocity(x + step) - flow.velocity(x - step)) / (2 * h)
+        assert torch.allclose(slope[:, :, j], difference, atol=1e-5)
+
+
+def is_saved(flow: Flow) -> None:
+    """Its configuration, as JSON, and its state make it again."""
+    again = flow_from_config(json.loads(json.dumps(flow.config())))
+    again.load_state_dict(flow.state_dict())
+    x = points(flow, 5, 2)
+    assert torch.equal(again(x, 0.4), flow(x, 0.4))

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 import torch
-from flow_cases import gap, points, random_flow
+from flow_cases import (
+    differentiates_itself,
+    gap,
+    is_saved,
+    keeps_the_group,
+    points,
+    random_flow,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from splatmorph.errors import OptionError
-from splatmorph.flows import Flow, Linear, Node, SplineField, flow_from_config, make_flow
+from splatmorph.flows import Flow, Linear, Node, SplineField, make_flow
 
 FLOWS: tuple[dict[str, str], ...] = (
     {"kind": "node", "field": "spline"},
@@ -46,11 +51,7 @@ def test_flow_is_a_one_parameter_group(
     flow = random_flow(options, dim, seed)
     if isinstance(flow, Node):
         flow.steps = 32
-    x = points(flow, 20, seed)
-    # Rounding, through every coupling there and back.
-    assert gap(flow, flow(x, 0.0), x) < 1e-13
-    assert gap(flow, flow(flow(x, t), -t), x) < order_of(flow)
-    assert gap(flow, flow(flow(x, s), t), flow(x, s + t)) < order_of(flow)
+    keeps_the_group(flow, s, t, order_of(flow), seed)
 
 
 @flows
@@ -93,20 +94,7 @@ def test_one_time_a_point_is_the_same_as_one_for_all(options: dict[str, str], di
 @few
 @given(seed=seeds)
 def test_jacobians_are_finite_differences(options: dict[str, str], dim: int, seed: int) -> None:
-    flow = random_flow(options, dim, seed)
-    x = points(flow, 8, seed)
-    # Knots of every integrator: the derivative is the very one of the steps taken.
-    times = (0.625, -0.375)
-    path, transported = flow.trajectory_jacobian(x, list(times))
-    assert gap(flow, path[0], flow(x, times[0])) < 1e-6
-    slope = flow.velocity_jacobian(x)
-    h = 1e-5
-    for j, step in enumerate(torch.eye(dim, dtype=torch.float64) * h):
-        for k, t in enumerate(times):
-            difference = (flow(x + step, t) - flow(x - step, t)) / (2 * h)
-            assert torch.allclose(transported[k, :, :, j], difference, atol=1e-4)
-        difference = (flow.velocity(x + step) - flow.velocity(x - step)) / (2 * h)
-        assert torch.allclose(slope[:, :, j], difference, atol=1e-5)
+    differentiates_itself(random_flow(options, dim, seed), seed)
 
 
 @warps
@@ -121,11 +109,7 @@ def test_velocity_is_the_rate_at_the_start(options: dict[str, str], dim: int) ->
 @warps
 @dims
 def test_saved_flow_answers_the_same(options: dict[str, str], dim: int) -> None:
-    flow = random_flow(options, dim, 2)
-    again = flow_from_config(json.loads(json.dumps(flow.config())))
-    again.load_state_dict(flow.state_dict())
-    x = points(flow, 5, 2)
-    assert torch.equal(again(x, 0.4), flow(x, 0.4))
+    is_saved(random_flow(options, dim, 2))
 
 
 def test_runge_kutta_has_fourth_order() -> None:
