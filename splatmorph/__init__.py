@@ -9,9 +9,9 @@ for splat in run.morph().sequence([0.25, 0.5, 0.75]):
 
 from __future__ import annotations
 
-import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
+from splatmorph._later import later
 from splatmorph._version import __version__
 from splatmorph.errors import SplatmorphError
 
@@ -36,7 +36,6 @@ if TYPE_CHECKING:
         open_run,
     )
 
-# Loaded when first asked for: torch takes a second, and `splatmorph --help` needs none of it.
 _HOMES = {
     "Chain": "morph",
     "Finding": "runs",
@@ -64,14 +63,4 @@ _HOMES = {
 
 __all__ = ["SplatmorphError", "__version__", *_HOMES]
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOMES:
-        raise AttributeError(f"module 'splatmorph' has no attribute {name!r}")
-    value = getattr(importlib.import_module(f"splatmorph.{_HOMES[name]}"), name)
-    globals()[name] = value
-    return value
-
-
-def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+__getattr__, __dir__ = later(__name__, _HOMES)

@@ -20,8 +20,8 @@ from splatmorph.errors import SplatmorphError
 
 HOUSE = Path(__file__).parents[1]
 ROOMS = (
-    ("_version", "errors", "steady"),
-    ("geometry", "renderer"),
+    ("_later", "_version", "errors", "steady"),
+    ("geometry", "renderer", "timeline"),
     ("gaussians",),
     ("io", "rendering", "flows"),
     ("landmark_files", "metrics"),

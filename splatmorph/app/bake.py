@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from splatmorph import io
 from splatmorph.app import console
-from splatmorph.app.export import lossy
 from splatmorph.app.options import Out, Overwrite
-from splatmorph.avatars import LANDMARK_SETS, Avatar, Track, baked, load_avatar, thin, track_of
 from splatmorph.errors import OptionError
-from splatmorph.io.atomic import make_folder, write_json
-from splatmorph.runs.export import write_measured
+
+if TYPE_CHECKING:
+    from splatmorph.avatars import Avatar, Track
 
 AvatarInput = Annotated[
     Path, Parameter(help="Its splat file, the directory of that, or the model directory.")
@@ -27,7 +25,7 @@ PoseFrom = Annotated[
     Path | None,
     Parameter(help="Take the pose from this avatar's track, or from a flame_param.npz."),
 ]
-LandmarkSet = Annotated[str, Parameter(help=f"One of {', '.join(LANDMARK_SETS)}.")]
+LandmarkSet = Annotated[str, Parameter(help="Of FLAME: 70, 254, dense.")]
 LandmarkCount = Annotated[
     int | None, Parameter(help="Keep at most this many landmarks, spread evenly.")
 ]
@@ -64,6 +62,11 @@ def bake(
     Its landmarks are written beside it, where ``splatmorph fit`` finds them. With --track a
     folder of numbered files is written, which SuperSplat and Brush play as a sequence.
     """
+    from splatmorph import io
+    from splatmorph.app.exporting import lossy
+    from splatmorph.avatars import load_avatar, thin, track_of
+    from splatmorph.runs.export import write_measured
+
     if track and frame is not None:
         raise OptionError("--frame writes one frame and --track all of them: give one of the two")
     pose = None if track else pose_from
@@ -91,6 +94,10 @@ def bake(
 
 
 def _write_track(avatar: Avatar, track: Track, folder: Path, overwrite: bool) -> None:
+    from splatmorph import io
+    from splatmorph.avatars import baked
+    from splatmorph.io.atomic import make_folder, write_json
+
     console.claim(make_folder(folder) / INDEX, overwrite)
     rows = []
     with console.progress("baking") as update:

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
@@ -17,14 +17,10 @@ from splatmorph.app import console
 from splatmorph.app.fit import FittingOptions, PosingOptions
 from splatmorph.app.options import Auto, Device, Json, Out, Overwrite, choose_device
 from splatmorph.errors import FitError, OutputExistsError, ReadError, RunError, SplatmorphError
-from splatmorph.io import stem_of
-from splatmorph.io.atomic import atomic_write, make_folder
-from splatmorph.io.reading import read_text, reading
-from splatmorph.runs.finding import Finding
-from splatmorph.runs.posing import Posing
-from splatmorph.runs.request import DEFAULT_FITTING, DEFAULT_POSING, Fitting, Request
-from splatmorph.runs.run import MANIFEST, open_run
-from splatmorph.runs.state import has_state
+from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding, Fitting, Posing
+
+if TYPE_CHECKING:
+    from splatmorph.runs import Request
 
 LANDMARKS = ("source_landmarks", "target_landmarks")
 PATHS = ("source", "target", *LANDMARKS)
@@ -105,6 +101,8 @@ def batch(
     stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
     where none failed but many landmarks of a pair are missed by far.
     """
+    from splatmorph.io.atomic import make_folder
+
     rows, finding = read_rows(pairs), Finding(auto)
     folder = make_folder(out or Path(f"{pairs.stem}-runs"))
     results: list[Result] = []
@@ -144,6 +142,8 @@ def read_rows(path: Path) -> list[Row]:
     Raises:
         ReadError: no table, columns or cells that are missing or unknown, or two runs of one name.
     """
+    from splatmorph.io.reading import read_text, reading
+
     text = read_text(path)
     with reading(path, "CSV file", remedy="save it as CSV in UTF-8"):
         reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
@@ -169,6 +169,8 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
+    from splatmorph.io import stem_of
+
     if None in cells:
         raise ReadError(f"{path} has more cells than columns in line {line}: mend it")
     given = {column: (cells.get(column) or "").strip() for column in (*PATHS, NAME)}
@@ -191,6 +193,10 @@ def _fit_row(
     device: str,
     overwrite: bool,
 ) -> Result:
+    from splatmorph.runs.request import Request
+    from splatmorph.runs.run import MANIFEST
+    from splatmorph.runs.state import has_state
+
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
     asked = Request.of(
         (row.source, row.target),
@@ -226,6 +232,8 @@ def _fit_row(
 
 def _report_of_same(asked: Request, run: Path) -> Mapping[str, Any] | None:
     """The report of ``run``, if it is of what is asked and whole."""
+    from splatmorph.runs import open_run
+
     try:
         found = open_run(run)
     except RunError:
@@ -234,6 +242,8 @@ def _report_of_same(asked: Request, run: Path) -> Mapping[str, Any] | None:
 
 
 def _write_summary(path: Path, results: Sequence[Result]) -> None:
+    from splatmorph.io.atomic import atomic_write
+
     columns = [field.name for field in dataclasses.fields(Result)]
     with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)

@@ -10,12 +10,13 @@ from splatmorph.app.export import export
 from splatmorph.app.fit import fit
 from splatmorph.app.options import Out, Overwrite
 from splatmorph.app.render import render
-from splatmorph.io.atomic import make_folder
-from splatmorph.samples import write_sample_pair
 
 
 def demo(*, out: Out = None, overwrite: Overwrite = False) -> None:
     """Make the sample pair, fit it, render a turntable of the morph, and export five PLY files."""
+    from splatmorph.io.atomic import make_folder
+    from splatmorph.samples import write_sample_pair
+
     begun = time.perf_counter()
     folder = out or Path("splatmorph-demo")
     console.claim(folder, overwrite)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import (
     DEFAULT_BLENDING,
@@ -23,30 +20,22 @@ from splatmorph.app.options import (
     check_reach,
 )
 from splatmorph.errors import OptionError
-from splatmorph.io.axes import upright
-from splatmorph.io.usd import STILL, Timeline
-from splatmorph.morph import Morph
-from splatmorph.morph.chain import Chain
-from splatmorph.runs.export import (
-    Exported,
-    export_animation,
-    export_one,
-    export_sequence,
-    turned_landmarks,
-    write_measured,
-)
-from splatmorph.runs.inputs import fingerprint
-from splatmorph.runs.run import MANIFEST, WEIGHTS, Run, open_run
+from splatmorph.timeline import STILL, Timeline
 
 AXES = {"y-up": "y", "y-down": "-y", "z-up": "z"}
 SAMPLES, FRAMES = 25, 5
-FRAME_FORMATS = [one[1:] for one in io.written() if one[0] == "." and not io.FORMATS[one].animated]
-"""Of the frames in a folder."""
+
+
+def frame_formats() -> list[str]:
+    """What the frames in a folder may be."""
+    from splatmorph import io
+
+    return [one[1:] for one in io.written() if one[0] == "." and not io.FORMATS[one].animated]
 
 
 def _check_kind(type_: Any, kind: str | None) -> None:
-    if kind is not None and kind not in FRAME_FORMATS:
-        raise ValueError(f"Choose one of {', '.join(FRAME_FORMATS)}.")
+    if kind is not None and kind not in frame_formats():
+        raise ValueError(f"Choose one of {', '.join(frame_formats())}.")
 
 
 def export(
@@ -64,7 +53,7 @@ def export(
         Parameter(
             validator=_check_kind,
             help="ply by default, which alone keeps every bit; the others are smaller: "
-            f"{', '.join(FRAME_FORMATS)}.",
+            "compressed.ply, glb, gltf, sog, splat, spz.",
         ),
     ] = None,
     axes: Annotated[
@@ -97,6 +86,13 @@ def export(
     Brush play them as a sequence. An interrupted export goes on when the same command is given
     again.
     """
+    from splatmorph import io
+    from splatmorph.app.exporting import Job, lossy, to_animation, to_file, to_folder
+    from splatmorph.io.axes import upright
+    from splatmorph.runs.export import write_measured
+    from splatmorph.runs.inputs import fingerprint
+    from splatmorph.runs.run import MANIFEST, WEIGHTS, open_run
+
     file = out if out and _names_a_file(out, format) else None
     options: dict[str, Any] = blending.chosen()
     opened = open_run(run)
@@ -120,96 +116,16 @@ def export(
         options["stable_count"], prune = True, False
     if stay:
         options["stay"] = True
-    job = _Job(opened, opened.morph(inputs, **options), times, prune, up)
+    job = Job(opened, opened.morph(inputs, **options), times, prune, up)
     if file:
         console.claim(file, overwrite)
         if animated:
-            _to_animation(job, file, timeline)
+            to_animation(job, file, timeline)
         else:
-            _to_file(job, file)
+            to_file(job, file)
         return
     asked = options | {"run": fingerprint((run / MANIFEST, run / WEIGHTS))}
-    _to_folder(job, out or Path(f"{stem}-frames"), f".{format or 'ply'}", overwrite, asked)
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What is exported, wherever to."""
-
-    run: Run
-    morph: Morph | Chain
-    times: Sequence[float]
-    prune: bool
-    up: str | None
-
-    @property
-    def names(self) -> list[str]:
-        return [one.name for one in self.run.inputs]
-
-
-def _to_animation(job: _Job, file: Path, timeline: Timeline) -> None:
-    console.prepare(job.morph, job.times)
-    with console.progress("writing") as update:
-        plain = export_animation(
-            job.morph,
-            job.times,
-            file,
-            timeline=timeline,
-            names=job.names,
-            up=job.up,
-            on_frame=lambda done: update(done, len(job.times), ""),
-        )
-    size, count = file.stat().st_size / 1e6, timeline.seconds * timeline.fps
-    console.say(
-        f"wrote {file}: {len(job.times)} samples over {timeline.seconds:g} s, {size:,.1f} MB "
-        f"(as {count:.0f} .ply files {plain / len(job.times) * count / 1e6:,.1f} MB)"
-    )
-
-
-def _to_file(job: _Job, file: Path) -> None:
-    (t,) = job.times
-    console.prepare(job.morph, job.times)
-    written = export_one(job.morph, t, file, names=job.names, prune=job.prune, up=job.up)
-    _say_written(written, str(file))
-    leg = job.run.legs[0]
-    if isinstance(job.morph, Morph):
-        marks = turned_landmarks(job.morph, leg.source_points, leg.names, t, file, job.up)
-        if marks is not None:
-            beside = file.with_name(f"{io.stem_of(file)}.landmarks.json")
-            marks.write(beside)
-            console.say(f"wrote {beside}, turned along with the splats")
-    _say_who_turns(file)
-
-
-def _to_folder(
-    job: _Job, folder: Path, extension: str, overwrite: bool, asked: dict[str, Any]
-) -> None:
-    with console.progress("writing") as update:
-        written = export_sequence(
-            job.morph,
-            job.times,
-            folder,
-            extension=extension,
-            names=job.names,
-            prune=job.prune,
-            up=job.up,
-            overwrite=overwrite,
-            asked=asked,
-            on_frame=lambda done: update(done, len(job.times), ""),
-            on_prepare=lambda done, steps: update(0, len(job.times), f"agreeing {done}/{steps}"),
-        )
-    if written.resumed:
-        console.say(f"{written.resumed} frames were there from an interrupted export")
-    _say_written(written, f"{len(written.files)} files, {written.files[0].name} …, to {folder}")
-    _say_who_turns(written.files[0])
-
-
-def _say_who_turns(file: Path) -> None:
-    if io.extension_of(file) == ".spz":
-        console.say(
-            "SPZ to PLY: splat-transform and Niantic's tools turn it by 180° about x, "
-            "gsply and gaussforge don't"
-        )
+    to_folder(job, out or Path(f"{stem}-frames"), f".{format or 'ply'}", overwrite, asked)
 
 
 def _names_a_file(out: Path, format: str | None) -> bool:
@@ -218,6 +134,8 @@ def _names_a_file(out: Path, format: str | None) -> bool:
     Raises:
         OptionError: an extension that is no format's, or not that of ``format``.
     """
+    from splatmorph import io
+
     if out.is_dir():
         return False
     extension = io.extension_of(out)
@@ -232,19 +150,6 @@ def _names_a_file(out: Path, format: str | None) -> bool:
             f"{', '.join(io.written())}"
         )
     return False
-
-
-def _say_written(written: Exported, what: str) -> None:
-    if written.pruned:
-        console.say(f"left out {written.pruned:,} splats too faint to be drawn (--no-prune keeps)")
-    console.say(f"wrote {what}{lossy(written.files[0], written.moved)}")
-
-
-def lossy(path: Path, moved: float) -> str:
-    """What the line of an output says where its format doesn't keep every bit."""
-    loses = io.FORMATS[io.extension_of(path)].loses
-    centers = f"centers moved by up to {moved:.2g}" if moved else "centers kept"
-    return f"; lossy: {centers}, {loses}" if loses else ""
 
 
 def _times(frames: int | None, t: Times | None, last: float, usual: int) -> list[float]:

@@ -5,26 +5,18 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
 from cyclopts import Parameter
-from torch import Tensor
 
 from splatmorph.app import console
 from splatmorph.app.options import Auto, Device, Out, Overwrite, Searching, Splat, choose_device
-from splatmorph.runs.finding import Finding
-from splatmorph.runs.posing import Posing
-from splatmorph.runs.request import (
-    DEFAULT_FITTING,
-    DEFAULT_POSING,
-    Fitting,
-    Request,
-    claim_run,
-)
-from splatmorph.runs.run import Run
-from splatmorph.runs.standing import standing
-from splatmorph.runs.state import has_state
+from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding, Fitting, Posing
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from splatmorph.runs import Request, Run
 
 FittingOptions = Annotated[Fitting, Parameter(name="*")]
 PosingOptions = Annotated[Posing, Parameter(name="*")]
@@ -68,6 +60,9 @@ def fit(
 
     Exits with 3 where many landmarks are missed by far; the run is kept.
     """
+    from splatmorph.runs.request import Request, claim_run
+    from splatmorph.runs.state import has_state
+
     if out is not None:
         claim_run(out, resume=resume, overwrite=overwrite)
     finding = Finding(auto, refine, **vars(searching), seed=fitting.seed)
@@ -110,6 +105,9 @@ def fit(
 
 def _summarise(asked: Request, run: Run, folder: Path) -> None:
     """The page that a fit ends with: what was met, what the flow keeps, what to type next."""
+    from splatmorph.runs.standing import standing
+    from splatmorph.runs.state import has_state
+
     names = " → ".join(one.name for one in asked.inputs)
     counts = " + ".join(f"{len(one.gaussians):,}" for one in asked.inputs)
     console.say(f"{names}: {counts} splats")
@@ -142,6 +140,8 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
 
 def _offset(asked: Request, leg: int) -> Tensor | None:
     """How far the target's offset is from the source's; None for a leg to the mean shape."""
+    import torch
+
     if asked.mean:
         return None
     source, target = (torch.tensor(one.gaussians.offset) for one in asked.inputs[leg : leg + 2])

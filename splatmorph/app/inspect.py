@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-import torch
 from cyclopts import Parameter
 
-from splatmorph import io
 from splatmorph.app import console
 from splatmorph.app.options import Json
-from splatmorph.avatars import is_avatar, summarize
 from splatmorph.errors import SplatmorphError
-from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
-from splatmorph.io.offsets import lost_detail
-from splatmorph.runs.inputs import Input, bounding_box, load_input
-from splatmorph.runs.upright import standing_way
+
+if TYPE_CHECKING:
+    from splatmorph.gaussians import Gaussians
+    from splatmorph.runs import Input
 
 
 def inspect(
@@ -44,6 +41,13 @@ def inspect(
 
 def describe(file: Path) -> dict[str, Any]:
     """What ``inspect`` says of one file, in JSON's types."""
+    import torch
+
+    from splatmorph import io
+    from splatmorph.avatars import is_avatar
+    from splatmorph.gaussians import FAINTEST_DRAWN
+    from splatmorph.runs.inputs import bounding_box, load_input
+
     rig: dict[str, Any] = {}
     if is_avatar(file):
         rig = _rig(file)
@@ -75,6 +79,8 @@ def describe(file: Path) -> dict[str, Any]:
 
 
 def _up(gaussians: Gaussians) -> str:
+    from splatmorph.runs.upright import standing_way
+
     axis, why = standing_way(gaussians)
     hint = ": --up -y is likely right" if axis == "-y" and gaussians.up is None else ""
     return f"{axis} ({why}{hint})"
@@ -82,6 +88,8 @@ def _up(gaussians: Gaussians) -> str:
 
 def _far(gaussians: Gaussians) -> dict[str, Any]:
     """What is to be said of centers far from the origin."""
+    from splatmorph.io.offsets import lost_detail
+
     said: dict[str, Any] = {"offset": list(gaussians.offset)} if any(gaussians.offset) else {}
     if (spacing := lost_detail(gaussians)) is not None:
         said["centers_rounded_to"] = spacing
@@ -89,6 +97,8 @@ def _far(gaussians: Gaussians) -> dict[str, Any]:
 
 
 def _rig(file: Path) -> dict[str, Any]:
+    from splatmorph.avatars import summarize
+
     found = summarize(file)
     return {
         "kind": "avatar of GaussianAvatars, in the frames of mesh triangles; posed for the rest",

@@ -6,9 +6,6 @@ from pathlib import Path
 
 from splatmorph.app import console
 from splatmorph.app.options import Out, Overwrite, Searching, Seed, Splat
-from splatmorph.registration import find_landmarks
-from splatmorph.registration.masks import without_masked
-from splatmorph.runs.inputs import load_splat
 
 DEFAULT_SEARCH = Searching()
 
@@ -28,6 +25,10 @@ def landmarks(
     They are written beside the splats, where `fit` finds them, or into the folder given by -o.
     Look at them, delete what is wrong, add what is missing: each has a confidence.
     """
+    from splatmorph.registration import find_landmarks
+    from splatmorph.registration.masks import without_masked
+    from splatmorph.runs.inputs import load_splat
+
     loaded = load_splat(source), load_splat(target)
     a, b = (without_masked(one.gaussians, one.path) for one in loaded)
     paths = [_path_of(one.path, one.name, out) for one in loaded]

@@ -230,6 +230,31 @@ def check_reach(times: Sequence[float], last: float) -> None:
             )
 
 
+def frame_times(t: Times | None, count: int, last: float = 1.0) -> list[float]:
+    """The t of each frame: there and back again by default, one held, or a stretch one way.
+
+    Raises:
+        OptionError: a list whose length is not the number of frames.
+    """
+    from splatmorph.rendering import there_and_back
+
+    if t is not None:
+        check_reach(t.values, last)
+    if t is None:
+        return there_and_back(count, end=last) if count > 1 else [last / 2]
+    if t.stretch:
+        start, end = t.values
+        return [start + (end - start) * i / max(1, count - 1) for i in range(count)]
+    if len(t.values) == 1:
+        return [t.values[0]] * count
+    if len(t.values) != count:
+        raise OptionError(
+            f"--t lists {len(t.values)} times for {count} frames: give one to hold, a stretch "
+            f"such as 0:1, or --frames {len(t.values)}"
+        )
+    return list(t.values)
+
+
 def choose_device(device: str) -> str:
     """``auto`` resolved: a CUDA device if torch sees one, else ``cpu``."""
     if device != "auto":

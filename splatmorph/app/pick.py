@@ -6,15 +6,16 @@ import shlex
 import webbrowser
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Out, UpOption
-from splatmorph.view.pick import MAX_SPLATS, Desk, Server, open_desk
-from splatmorph.view.pick import start as begin
-from splatmorph.view.pick.sides import PictureSide
+from splatmorph.view.limits import MAX_SPLATS
+
+if TYPE_CHECKING:
+    from splatmorph.view.pick import Desk
 
 
 def pick(
@@ -42,6 +43,9 @@ def pick(
     fourth pair on the slider plays the morph. Saved as <stem>.landmarks.json beside each input, or
     into the folder given by -o; a file that was there is kept as .bak. Stop with Ctrl-C.
     """
+    from splatmorph.view.pick import Server, open_desk
+    from splatmorph.view.pick import start as begin
+
     paths = (source, target, *more)
     with console.progress("looking for landmarks") as update:
         if start == "face" and template is None:
@@ -74,6 +78,8 @@ def pick(
 
 def next_command(desk: Desk, paths: Sequence[Path], out: Path | None) -> str:
     """What makes the morph of what was picked."""
+    from splatmorph.view.pick.sides import PictureSide
+
     verb = "image" if isinstance(desk.sides[0], PictureSide) else "fit"
     parts = ["splatmorph", verb, *map(str, paths)]
     beside = out is None and not any(path.is_dir() for path in paths)

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from renderer import orbit, write_image, write_video
 from splatmorph.app import console
 from splatmorph.app.options import Out, Overwrite, RunPath, Size, SizeOption, UpOption
 from splatmorph.errors import OptionError
-from splatmorph.rendering import turntable, upright
-from splatmorph.view import streamlines as drawing
-from splatmorph.view.subject import Subject, open_subject
+
+if TYPE_CHECKING:
+    from splatmorph.view.subject import Subject
 
 STILLS = (".png", ".jpg")
 VIDEOS = (".mp4", ".gif")
@@ -55,6 +54,11 @@ def streamlines(
     at the target. The extension chooses: .png, an orbit as .mp4 or .gif, .html to turn round,
     .vtp for ParaView. Without -o the picture is RUN.streamlines.png.
     """
+    from renderer import orbit, write_image, write_video
+    from splatmorph.rendering import turntable, upright
+    from splatmorph.view import streamlines as drawing
+    from splatmorph.view.subject import open_subject
+
     path = out or Path(f"{run.resolve().stem}.streamlines.png")
     kind = path.suffix.lower()
     if kind not in (*STILLS, *VIDEOS, ".html", ".vtp"):

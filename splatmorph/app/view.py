@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, UpOption
 from splatmorph.errors import OptionError
-from splatmorph.rendering import upright
-from splatmorph.view.page import MAX_SPLATS, write_page
-from splatmorph.view.scene import Scene, open_scene
+from splatmorph.view.limits import MAX_SPLATS
+
+if TYPE_CHECKING:
+    from splatmorph.view.scene import Scene
 
 PAGES = (".html", ".htm")
 
@@ -47,6 +48,9 @@ def view(
     The live viewer listens on this machine only, unless --host says otherwise, and runs until
     Ctrl-C. --diagnostics draws loss, landmark errors, volume change and the warped grid.
     """
+    from splatmorph.rendering import upright
+    from splatmorph.view.scene import open_scene
+
     if out is not None and out.suffix.lower() not in PAGES:
         raise OptionError(f"{out}: the page is an .html (for pictures, see splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
@@ -90,6 +94,9 @@ def _write_page(
     background: tuple[float, float, float] | None,
     max_splats: int,
 ) -> None:
+    from splatmorph.rendering import upright
+    from splatmorph.view.page import write_page
+
     above = upright(scene.splats[0], up)
     page = write_page(out, scene, up=above, background=background, max_splats=max_splats)
     if page.thinned:

@@ -8,7 +8,6 @@ https://openusd.org/release/user_guides/schemas/usdVol/ParticleField3DGaussianSp
 from __future__ import annotations
 
 import io
-import math
 import subprocess
 import sys
 import tempfile
@@ -22,13 +21,14 @@ import torch
 from numpy.typing import NDArray
 
 from splatmorph._version import __version__
-from splatmorph.errors import MissingExtraError, OptionError, ReadError, WriteError
+from splatmorph.errors import MissingExtraError, ReadError, WriteError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.gltf import placed
 from splatmorph.io.offsets import about
 from splatmorph.io.packed import FAINTEST, stored_arrays, unpacked
 from splatmorph.io.reading import require_file
+from splatmorph.timeline import STILL, Timeline
 
 UPS = {"y": "Y", "z": "Z"}
 """The axes that USD knows as up, and its names for them."""
@@ -42,31 +42,6 @@ NAMES = ("positions", "orientations", "scales", "opacities")
 LONGEST = 600
 """Seconds that reading may take."""
 HARMONICS, DEGREE = "radiance:sphericalHarmonicsCoefficients", "radiance:sphericalHarmonicsDegree"
-
-
-@dataclass(frozen=True)
-class Timeline:
-    """How long an animation plays, and in what units."""
-
-    seconds: float = 4.0
-    """How long an animation in one file (USD) plays."""
-    fps: float = 30.0
-    """Its frames a second."""
-    metres_per_unit: float = 1.0
-    """Metres in a unit of the splats, for USD."""
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 < value < math.inf:
-                raise OptionError(f"`{name}` is {value:g}, expected a finite number above 0")
-
-    def codes(self, count: int) -> list[float]:
-        """Time codes of ``count`` samples, evenly from the first to the last frame."""
-        last = self.seconds * self.fps
-        return [last * i / max(1, count - 1) for i in range(count)]
-
-
-STILL = Timeline()
 
 
 @dataclass

@@ -18,12 +18,13 @@ from splatmorph.io.atomic import make_folder, write_json
 from splatmorph.io.axes import turn_between, upright
 from splatmorph.io.ply import ply_size
 from splatmorph.io.reading import read_json
-from splatmorph.io.usd import HIGHEST_DEGREE, STILL, Timeline, write_animation
+from splatmorph.io.usd import HIGHEST_DEGREE, write_animation
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
 from splatmorph.morph.agreement import OnStep
 from splatmorph.morph.chain import Chain
 from splatmorph.morph.ramps import EASES
+from splatmorph.timeline import STILL, Timeline
 
 INDEX = "frames.json"
 PLAN = ".frames.unfinished.json"

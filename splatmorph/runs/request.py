@@ -16,17 +16,25 @@ from torch import Tensor
 
 from splatmorph.errors import OptionError, OutputExistsError, WriteError
 from splatmorph.fitting import FitConfig, FitProgress, FitReport, fit
-from splatmorph.flows import Flow, Node, make_flow
+from splatmorph.flows import Flow, make_flow
 from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import mean_landmarks
 from splatmorph.registration import Found
 from splatmorph.registration.search import OnStep as OnSearch
-from splatmorph.runs.finding import Finding
+from splatmorph.runs.finding import find
 from splatmorph.runs.inputs import Input
-from splatmorph.runs.posing import Pair, Posing, landmarks_of
+from splatmorph.runs.posing import Pair, landmarks_of, load_inputs, thinned
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
+from splatmorph.runs.settings import (
+    DEFAULT_FINDING,
+    DEFAULT_FITTING,
+    DEFAULT_POSING,
+    Finding,
+    Fitting,
+    Posing,
+)
 from splatmorph.runs.state import has_state, load_state, save_state
 
 MOST_DOMAIN_POINTS = 20_000
@@ -34,49 +42,6 @@ MOST_DOMAIN_POINTS = 20_000
 
 OnStep = Callable[[FitProgress], None]
 OnWarning = Callable[[str], None]
-
-
-@dataclass(frozen=True)
-class Fitting:
-    """Which flow, and how it is fitted."""
-
-    flow: str = Node.kind
-    """node or ncf; or a baseline: ifmorph, tps, linear."""
-    field: str | None = None
-    """Of the node flow: spline (the default) or siren."""
-    smoothing: float | None = FitConfig.smoothing
-    """Weight of bending against missed landmarks, 0 meets them; chosen by the landmarks if not
-    given."""
-    energy: str | None = None
-    """What training keeps small: jacobian (the paper's) or hessian."""
-    steps: int | None = None
-    """Most training steps."""
-    seed: int = 0
-    """Seed of everything random."""
-
-    def make(self) -> Flow:
-        """The unfitted flow in space.
-
-        Raises:
-            OptionError: there is no such flow or field.
-        """
-        options = {"field": self.field} if self.field else {}
-        return make_flow(self.flow, dim=3, **options)
-
-    def config(self) -> FitConfig:
-        """What ``fit`` is told.
-
-        Raises:
-            OptionError: a value that can't be.
-        """
-        return FitConfig(
-            seed=self.seed, steps=self.steps, smoothing=self.smoothing, energy=self.energy
-        )
-
-
-DEFAULT_FITTING = Fitting()
-DEFAULT_POSING = Posing()
-DEFAULT_FINDING = Finding()
 
 
 @dataclass(frozen=True)
@@ -148,14 +113,14 @@ class Request:
         if len(paths) < 2:
             raise OptionError(f"{len(paths)} splats are given, expected two or more")
         warn = on_warning or _log_warning
-        inputs = posing.load(paths, warn)
+        inputs = load_inputs(paths, posing, warn)
         if mean:
             return Request(inputs, _legs_to_mean(inputs, posing), fitting, mean)
         legs = []
         for pair in itertools.pairwise(inputs):
-            found = finding.find(*pair, on_search, warn)
+            found = find(finding, *pair, on_search, warn)
             if found is None:
-                points = posing.thinned((landmarks_of(pair[0]), landmarks_of(pair[1])))
+                points = thinned((landmarks_of(pair[0]), landmarks_of(pair[1])), posing)
             else:
                 points = found.source, found.target
             legs.append(LegRequest.of(points, pair, found))
@@ -197,7 +162,7 @@ class Request:
         made: list[Leg] = []
         reports: list[FitReport] = []
         for i, leg in enumerate(self.legs):
-            flow = self.fitting.make().to(device)
+            flow = _flow_of(self.fitting).to(device)
             report = self._fit_leg(i, flow, folder, resume, on_step)
             reports.append(report)
             for warning in report.warnings:
@@ -228,7 +193,7 @@ class Request:
             flow,
             Landmarks(leg.source_points, leg.names),
             Landmarks(leg.target_points, leg.names).moved(leg.frame.inverse()),
-            self.fitting.config(),
+            _config_of(self.fitting),
             domain=leg.domain.to(flow.center.device),
             on_step=on_step,
             resume=load_state(folder, number, asked) if resume else None,
@@ -323,8 +288,19 @@ def _legs_to_mean(inputs: Sequence[Input], posing: Posing) -> tuple[LegRequest, 
     points = [landmarks_of(one) for one in inputs]
     middle = mean_landmarks(points)
     return tuple(
-        LegRequest.of(posing.thinned((marks, middle)), [one])
+        LegRequest.of(thinned((marks, middle), posing), [one])
         for marks, one in zip(points, inputs, strict=True)
+    )
+
+
+def _flow_of(asked: Fitting) -> Flow:
+    options = {"field": asked.field} if asked.field else {}
+    return make_flow(asked.flow, dim=3, **options)
+
+
+def _config_of(asked: Fitting) -> FitConfig:
+    return FitConfig(
+        seed=asked.seed, steps=asked.steps, smoothing=asked.smoothing, energy=asked.energy
     )
 
 

@@ -16,7 +16,7 @@ import torch
 from renderer import read_cameras
 from splatmorph import io
 from splatmorph.app.batch import read_rows
-from splatmorph.app.eval import read_pairs
+from splatmorph.app.measuring import read_pairs
 from splatmorph.avatars.landmark_sets import mesh_landmarks
 from splatmorph.avatars.mesh import read_mesh
 from splatmorph.avatars.places import find_avatar, is_local

@@ -23,14 +23,13 @@ from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import atomic_write
 from splatmorph.morph.ramps import DEFAULT_RAMP
 from splatmorph.rendering import render
+from splatmorph.view.limits import MAX_SPLATS
 from splatmorph.view.page.coding import along_curve, one_block
 from splatmorph.view.page.joining import digest, filled, joined, read_text
 from splatmorph.view.page.pack import first_camera, pack
 from splatmorph.view.scene import Scene
 from splatmorph.view.subject import thin
 
-MAX_SPLATS = 200_000
-"""Default of the most splats a page carries: what a laptop sorts and draws at every frame."""
 POSTER_SIZE = 640
 """Pixels a side of the picture that is seen while the splats are unpacked."""
 SCRIPTS = (

@@ -12,6 +12,7 @@ from splatmorph.registration import find_landmarks
 from splatmorph.registration.masks import without_masked
 from splatmorph.registration.search import OnStep
 from splatmorph.runs.inputs import load_splat
+from splatmorph.view.limits import MAX_SPLATS
 from splatmorph.view.pick.book import Place, Row
 from splatmorph.view.pick.desk import Desk
 from splatmorph.view.pick.hints import template_names
@@ -21,8 +22,6 @@ from splatmorph.view.pick.sides import PICTURES, PictureSide, SplatSide
 
 __all__ = ["Desk", "Server", "open_desk", "start"]
 
-MAX_SPLATS = 200_000
-"""Default of the most splats of an input that the page shows; clicks see them all."""
 SEARCHES = ("auto", "face")
 
 
