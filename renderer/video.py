@@ -53,8 +53,6 @@ def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None
     the picture is transparent (PNG or WebP), and ``rgb`` is taken as premultiplied, which is
     how ``rasterize`` returns it without a background. Raises OutputError.
     """
-    import imageio.v3 as imageio
-
     path = Path(path)
     if path.suffix.lower() not in PICTURES:
         raise OutputError(f"{path}: expected a picture's extension, one of {', '.join(PICTURES)}")
@@ -65,8 +63,17 @@ def write_image(path: str | Path, rgb: ArrayLike, alpha: ArrayLike | None = None
         straight = np.asarray(rgb, np.float64) / np.maximum(cover, 1e-6)
         pixels = to_bytes(np.concatenate([straight, cover], axis=-1))
     with _beside(path) as partial:
-        imageio.imwrite(partial, pixels)
+        _write_picture(partial, pixels)
     return path
+
+
+def _write_picture(path: Path, pixels: Frame) -> None:
+    import imageio.v3 as imageio
+
+    # From memory, since the writer complains once more, too late, where the disk is full.
+    made = imageio.imwrite("<bytes>", pixels, extension=path.suffix.lower())
+    assert made is not None
+    path.write_bytes(made)
 
 
 def write_video(
@@ -294,7 +301,7 @@ def _gif(path: Path, fps: float) -> Iterator[Sink]:
     # A gif counts hundredths of a second, and players slow down what is below two of them.
     duration = max(20, round(100 / fps) * 10)
     writer: Any
-    # In memory, since the writer complains once more, too late, where the disk is full.
+    # In memory, as a picture is.
     made = io.BytesIO()
     with imageio.get_writer(made, format="GIF", duration=duration, loop=0) as writer:
         yield writer.append_data
@@ -302,14 +309,12 @@ def _gif(path: Path, fps: float) -> Iterator[Sink]:
 
 
 def _folder(path: Path) -> Sink:
-    import imageio.v3 as imageio
-
     path.mkdir()
     count = 0
 
     def send(frame: Frame) -> None:
         nonlocal count
-        imageio.imwrite(path / f"frame_{count:04d}.png", frame)
+        _write_picture(path / f"frame_{count:04d}.png", frame)
         count += 1
 
     return send

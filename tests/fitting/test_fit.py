@@ -153,6 +153,26 @@ def test_state_of_another_flow_is_refused() -> None:
         fit(make_flow("ncf"), *pair(), resume=FitState({}, {"step": "3"}))
 
 
+@pytest.mark.parametrize("what", ["a moment missing", "a shape", "a type", "steps", "infinite"])
+def test_a_damaged_state_is_refused_by_its_name(what: str) -> None:
+    kept: list[FitState] = []
+    config = FitConfig(steps=CHECK_EVERY)
+    fit(make_flow("ncf"), *pair(), config, on_state=kept.append)
+    tensors, meta = dict(kept[0].tensors), dict(kept[0].meta)
+    if what == "a moment missing":
+        del tensors["adam.0.exp_avg_sq"]
+    elif what == "a shape":
+        tensors["adam.0.exp_avg"] = tensors["adam.0.exp_avg"][:1]
+    elif what == "a type":
+        tensors["flow.drift"] = tensors["flow.drift"].int()
+    elif what == "steps":
+        meta["step"] = "9" * 400
+    else:
+        tensors["best.drift"] = torch.full_like(tensors["best.drift"], torch.inf)
+    with pytest.raises(OptionError, match=r"^left\.safetensors is of another"):
+        fit(make_flow("ncf"), *pair(), config, resume=FitState(tensors, meta, "left.safetensors"))
+
+
 def test_interrupt_keeps_the_best_so_far() -> None:
     flow = make_flow("node", field="siren", width=16)
 

@@ -82,8 +82,10 @@ def filled(
     if wrong := _left(whole, work):
         return f"{what}: {wrong}"
     errors = [line for line in done.said.splitlines() if "error:" in line]
-    if not done.ended_well and (done.code != 1 or not errors or "ours" in done.said):
+    if not done.ended_well and (done.code != 1 or not errors or "bug of ours" in done.said):
         return f"{what}: it ended with {done.code}: {done.said[-300:]}"
+    if "Traceback" in done.said:
+        return f"{what}: {done.said[-300:]}"
     if done.ended_well and contents(work).keys() != whole.made.keys():
         return f"{what}: it ended well with {sorted(contents(work))}"
     if hidden := [name for name in contents(work) if "partial" in name]:

@@ -112,7 +112,7 @@ def _run(path: Path) -> None:
     run = open_run(folder)
     read_history(folder)
     try:
-        run.morph().at(0.5)
+        run.morph(blend="union").at(0.5)
     except SplatmorphError as error:
         # What a whole run does is refused, no file.
         raise RunError(f"{folder}: {error}") from error

@@ -117,6 +117,7 @@ class Running:
         self.begun = time.monotonic()
         # What it says is no file of its own, which would be limited too.
         reader, writer = os.pipe()
+        self.log.touch()
         self.writes_log = _forked(lambda: self._keep(reader, writer))
         os.close(reader)
         self.process = _forked(lambda: self._be(arguments, folder, writer, largest))

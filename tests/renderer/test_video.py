@@ -131,7 +131,7 @@ def test_what_cant_be_written_is_said(tmp_path, name, pictures, found):
 
 
 def test_a_failing_encoder_is_heard(tmp_path, monkeypatch):
-    def full(*_):
+    def full(*_, **__):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(imageio, "imwrite", full)

@@ -120,6 +120,34 @@ def test_damage_is_one_line(copied: Path, name: str, damage: str) -> None:
     assert str(copied) in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("place", "value"),
+    [
+        (("flow", "steps"), "x"),
+        (("flow", "steps"), 0),
+        (("flow", "rounding"), True),
+        (("flow", "field"), ["spline"]),
+        (("flow", "dim"), "3"),
+        (("names",), ["one"]),
+        (("source_points", 0, 0), float("nan")),
+        (("source_points", 0, 0), 1e308),
+    ],
+)
+def test_values_of_another_kind_are_one_line(
+    copied: Path, place: tuple[str | int, ...], value: object
+) -> None:
+    manifest = json.loads((copied / "morph.json").read_text())
+    there = manifest["legs"][0]
+    for step in place[:-1]:
+        there = there[step]
+    there[place[-1]] = value
+    (copied / "morph.json").write_text(json.dumps(manifest))
+    with pytest.raises(RunError) as caught:
+        open_run(copied)
+    assert "\n" not in str(caught.value)
+    assert str(copied) in str(caught.value)
+
+
 def test_another_format_is_told_apart(copied: Path) -> None:
     manifest = json.loads((copied / "morph.json").read_text())
     (copied / "morph.json").write_text(json.dumps(manifest | {"format": 99}))
