@@ -26,6 +26,9 @@ def find(
         SplatmorphError: the search is at fault; see :func:`find_landmarks`.
     """
     given = source.landmarks, target.landmarks
+    both = given[0] is not None and given[1] is not None
+    if not (finding.refine if both else finding.auto):
+        return None
     shared: dict[str, Any] = {
         "count": finding.count,
         "crop": finding.crop,
@@ -35,12 +38,8 @@ def find(
     }
     a, b = (without_masked(one.gaussians, one.path) for one in (source, target))
     if given[0] is not None and given[1] is not None:
-        if not finding.refine:
-            return None
         pair: tuple[Landmarks, Landmarks] = given[0], given[1]
         found = refine_landmarks(a, b, pair, **shared)
-    elif not finding.auto:
-        return None
     else:
         for one, other in ((source, target), (target, source)):
             if one.landmarks is not None and on_warning is not None:

@@ -1,7 +1,7 @@
 // Hands on the panes: clicks, dragged marks, loops, and cameras that move together.
 
 const CLICK = 4; // pixels within which a press is a click
-const ON_MARK = 6; // pixels from a mark within which a click means the mark
+const ON_MARK = 5; // pixels from a mark within which a click means the mark
 const GAP = 5; // pixels between the corners of a lasso
 
 // What turns one camera, or both where they are linked.
