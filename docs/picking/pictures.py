@@ -30,10 +30,10 @@ NAMES = [
     "ear_lobe_left",
     "forehead",
     "hair_crown",
-    "collar_front",
+    "hair_front",
 ]
 WIDTH, HEIGHT = 1240, 700
-COLOURS = 192
+COLOURS = 256
 AT_REST = "pane0.dataset.drawn === 'still' && pane1.dataset.drawn === 'still'"
 
 

@@ -40,7 +40,7 @@ def pick(
     """Click the same features on two splats in the browser, and see the morph at once.
 
     Click a feature on A: where it is on B is predicted, Enter accepts, a click corrects. From the
-    fourth pair on the slider plays the morph. Saved as <stem>.landmarks.json beside each input, or
+    fourth pair on the slider plays the morph. Saved as STEM.landmarks.json beside each input, or
     into the folder given by -o; a file that was there is kept as .bak. Stop with Ctrl-C.
     """
     from splatmorph.view.pick import Server, open_desk
@@ -58,7 +58,8 @@ def pick(
         console.say(said)
     command = next_command(desk, paths, out)
     server = Server(desk, command, port)
-    console.say(f"pick at {server.address}\nstop with Ctrl-C")
+    console.say(f"pick at {server.address}")
+    console.say("stop with Ctrl-C")
     if browser:
         webbrowser.open(server.address)
     try:
@@ -73,7 +74,8 @@ def pick(
     if desk.papers.written:
         for path in sorted(desk.papers.written):
             console.say(f"wrote {path}")
-        console.say(f"next:\n  {command}")
+        console.say("next:")
+        console.say(f"  {command}")
 
 
 def next_command(desk: Desk, paths: Sequence[Path], out: Path | None) -> str:
