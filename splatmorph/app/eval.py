@@ -27,11 +27,11 @@ def eval(
     json: Json = False,
 ) -> None:
     """Measure a run: landmark errors, flow laws, folding, energies."""
-    from splatmorph.app.measuring import measured_legs, read_pairs
     from splatmorph.runs import open_run
+    from splatmorph.runs.measuring import measure, read_pairs
 
     pairs = None if held_out is None else read_pairs(held_out)
-    legs = measured_legs(open_run(run), pairs)
+    legs = measure(open_run(run), pairs)
     if json:
         console.emit_json({"run": str(run), "legs": legs})
     else:

@@ -54,10 +54,22 @@ def pair(
     return Path("a.ply"), Path("b.ply")
 
 
+@pytest.fixture(scope="module")
+def fits() -> list[tuple[str, bytes]]:
+    """The files of the one run of ``pair`` that is fitted for all tests."""
+    return []
+
+
 @pytest.fixture
-def fitted(pair: tuple[Path, Path], cli: Run) -> Path:
-    assert cli("fit", *pair)[0] == 0
-    return Path("a-b.run")
+def fitted(pair: tuple[Path, Path], cli: Run, fits: list[tuple[str, bytes]]) -> Path:
+    run = Path("a-b.run")
+    if not fits:
+        assert cli("fit", *pair)[0] == 0
+        fits += [(file.name, file.read_bytes()) for file in run.iterdir()]
+    run.mkdir(exist_ok=True)
+    for name, data in fits:
+        (run / name).write_bytes(data)
+    return run
 
 
 def failed(result: tuple[int, str, str], *words: str, code: int = 1) -> None:
@@ -349,13 +361,13 @@ def test_an_export_that_was_killed_goes_on(
 def test_an_interrupted_fit_keeps_the_best_and_goes_on_to_the_same_bits(
     pair: tuple[Path, Path], cli: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    training = ("fit", *pair, "--field", "siren", "--steps", 60)
+    training = ("fit", *pair, "--field", "siren", "--steps", 40)
     assert cli(*training, "-o", "whole.run")[0] == 0
 
     @contextlib.contextmanager
     def impatient(what: str) -> Iterator[Callable[[int, int, str], None]]:
         def update(done: int, total: int, note: str = "") -> None:
-            if done >= 40:
+            if done >= 20:
                 raise KeyboardInterrupt
 
         yield update

@@ -116,7 +116,8 @@ def test_an_interrupted_batch_goes_on_to_the_same_bits(
     splats: Path, batch: Batch, monkeypatch: pytest.MonkeyPatch, at: int
 ) -> None:
     words = (table(splats, "a.ply,b.ply", "b.ply,c.ply"), "--field", "siren", "--steps", 40)
-    assert batch(*words, "-o", "whole")[0] == 0
+    whole = ("fit", splats / "b.ply", splats / "c.ply", *words[1:], "-o", "whole.run")
+    assert run([str(word) for word in whole]) == 0
     begun = []
 
     @contextlib.contextmanager
@@ -135,7 +136,7 @@ def test_an_interrupted_batch_goes_on_to_the_same_bits(
     assert [row["name"] for row in summary("cut/summary.csv")] == ["a-b"]
     assert batch(*words, "-o", "cut")[0] == 0
     assert [row["status"] for row in summary("cut/summary.csv")] == ["kept", "fitted"]
-    ends = [open_run(f"{out}/b-c.run").legs[0].flow.state_dict() for out in ("whole", "cut")]
+    ends = [open_run(run).legs[0].flow.state_dict() for run in ("whole.run", "cut/b-c.run")]
     for name, value in ends[0].items():
         assert torch.equal(ends[1][name], value), name
 

@@ -15,8 +15,6 @@ import torch
 
 from renderer import read_cameras
 from splatmorph import io
-from splatmorph.app.batch import read_rows
-from splatmorph.app.measuring import read_pairs
 from splatmorph.avatars.landmark_sets import mesh_landmarks
 from splatmorph.avatars.mesh import read_mesh
 from splatmorph.avatars.places import find_avatar, is_local
@@ -28,7 +26,9 @@ from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
 from splatmorph.images import Canvas, Picture, read_pair, read_points
 from splatmorph.landmarks import Landmarks
+from splatmorph.runs.batch import read_rows
 from splatmorph.runs.export import export_sequence
+from splatmorph.runs.measuring import read_pairs
 from splatmorph.runs.request import Request
 from splatmorph.runs.run import MANIFEST, REPORT, WEIGHTS, open_run
 from splatmorph.runs.state import load_state, save_state

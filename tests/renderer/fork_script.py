@@ -1,21 +1,30 @@
-"""Draw here and in child processes: ``fork_script.py METHOD before|after|during`` our own frames.
+"""Draw here and in child processes: ``fork_script.py METHOD before|after|during|compiling``.
 
-Prints the sum of our picture, and those of the children's.
+``during`` our own frames, or while another thread is inside the compiler. Prints the sum of our
+picture, and those of the children's.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import multiprocessing
 import sys
+import tempfile
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
 from renderer import rasterize
+from renderer.cpp import Program, build
 
 PATIENCE = 60
+
+
+class Number(ctypes.Structure):
+    _fields_ = (("number", ctypes.c_int),)
 
 
 def picture_sum(size: int = 64) -> float:
@@ -58,12 +67,37 @@ def drawing() -> Iterator[None]:
         thread.join()
 
 
+@contextlib.contextmanager
+def compiling() -> Iterator[None]:
+    """Another thread is inside the compiler, with a program that no cache holds."""
+    inside, building = threading.Event(), build.build
+
+    def announced(source: str) -> object:
+        inside.set()
+        return building(source)
+
+    build.build = announced
+    with tempfile.TemporaryDirectory() as folder:
+        (Path(folder) / "new.h").write_text(f"struct Arguments {{ int number; }};  // {folder}\n")
+        program = Program(Path(folder), ("new.h",), Number)
+        thread = threading.Thread(target=program.available)
+        thread.start()
+        inside.wait()
+        try:
+            yield
+        finally:
+            thread.join()
+            build.build = building
+    assert program.available()
+
+
 def main(method: str, when: str) -> None:
     context = multiprocessing.get_context(method)
-    if when != "before":
+    if when in ("after", "during"):
         picture_sum()
     sums = []
-    with drawing() if when == "during" else contextlib.nullcontext():
+    meanwhile = {"during": drawing, "compiling": compiling}.get(when, contextlib.nullcontext)
+    with meanwhile():
         for _ in range(3 if when == "during" else 1):
             answers = context.SimpleQueue()
             process = context.Process(target=child, args=(answers,))

@@ -1,4 +1,4 @@
-"""What ``splatmorph eval`` measures."""
+"""How good a run is: its flows measured, over its splats and on correspondences held back."""
 
 from __future__ import annotations
 
@@ -21,8 +21,14 @@ from splatmorph.runs.run import Leg, Run
 SIDES = ("source", "target")
 
 
-def measured_legs(run: Run, pairs: tuple[Tensor, Tensor] | None = None) -> list[dict[str, Any]]:
-    """What ``eval`` says of each flow of a run; ``pairs`` are true correspondences."""
+def measure(run: Run, pairs: tuple[Tensor, Tensor] | None = None) -> list[dict[str, Any]]:
+    """What is to say of each leg, in JSON's types: ``metrics.Quality`` and what follows.
+
+    ``held_out``, where ``pairs`` (as of ``read_pairs``) are given: how far the flow's end is from
+    the truth, world units. ``surfaces``, but for an average: ``half_time_gap``.
+
+    Raises ``ReadError`` where an input isn't what it was, or isn't there.
+    """
     inputs = run.load_inputs()
     splats = [one.gaussians.means for one in inputs]
     # A leg of an average goes from one splat to the mean shape, where no splat is.
@@ -34,7 +40,7 @@ def measured_legs(run: Run, pairs: tuple[Tensor, Tensor] | None = None) -> list[
             for leg, (source, target) in zip(run.legs, pairwise(splats), strict=True)
         ]
     )
-    legs = [measure(leg, points, pairs) for leg, points in zip(run.legs, ends, strict=True)]
+    legs = [_measured(leg, points, pairs) for leg, points in zip(run.legs, ends, strict=True)]
     if not run.is_mean:
         for measured, made, pair in zip(legs, run.legs, pairwise(inputs), strict=True):
             gap = half_time_gap(made.flow, made.frame, *(one.gaussians for one in pair))
@@ -42,8 +48,7 @@ def measured_legs(run: Run, pairs: tuple[Tensor, Tensor] | None = None) -> list[
     return legs
 
 
-def measure(leg: Leg, splats: Tensor, pairs: tuple[Tensor, Tensor] | None) -> dict[str, Any]:
-    """What ``eval`` says of one flow, in JSON's types; ``splats`` are its centers, both sides."""
+def _measured(leg: Leg, splats: Tensor, pairs: tuple[Tensor, Tensor] | None) -> dict[str, Any]:
     quality = evaluate(leg.flow, leg.source_points, leg.aligned_points, leg.names, splats)
     measured = {
         "flow": leg.flow.config(),

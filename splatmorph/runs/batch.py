@@ -1,0 +1,190 @@
+"""Many pairs that a table names: each a run of its own, and a summary of them all."""
+
+from __future__ import annotations
+
+import csv
+import dataclasses
+import io
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from splatmorph.errors import OutputExistsError, ReadError, RunError
+from splatmorph.io import stem_of
+from splatmorph.io.atomic import atomic_write
+from splatmorph.io.reading import read_text, reading
+from splatmorph.runs.request import OnStep, OnWarning, Request
+from splatmorph.runs.run import MANIFEST, open_run
+from splatmorph.runs.settings import Finding, Fitting, Posing
+from splatmorph.runs.state import has_state
+
+LANDMARKS = ("source_landmarks", "target_landmarks")
+PATHS = ("source", "target", *LANDMARKS)
+NAME = "name"
+
+
+@dataclass(frozen=True)
+class Row:
+    """A pair of the table."""
+
+    name: str
+    """Of its run."""
+    line: int
+    source: Path
+    target: Path
+    source_landmarks: Path | None
+    target_landmarks: Path | None
+
+
+@dataclass(frozen=True)
+class Result:
+    """What became of a pair; in world units."""
+
+    name: str
+    status: str
+    """fitted; kept, if it was there already; missed, if many landmarks are; or failed."""
+    landmarks: int | None = None
+    rms_error: float | None = None
+    """Root mean square distance of the landmarks."""
+    worst_error: float | None = None
+    """Of one landmark, at its worst t."""
+    worst_landmark: str | None = None
+    det_min: float | None = None
+    seconds: float | None = None
+    message: str = ""
+    """Why it failed, or what is missed."""
+
+    @staticmethod
+    def of(name: str, status: str, report: Mapping[str, Any]) -> Result:
+        """The result that a fit's report says."""
+        worst, error = next(iter(report["errors"].items()))
+        missed = report["missed"]
+        return Result(
+            name,
+            "missed" if missed else status,
+            message=report["status"] if missed else "",
+            landmarks=report["landmarks"],
+            rms_error=(3 * report["mse_world"]) ** 0.5,
+            worst_error=error,
+            worst_landmark=worst,
+            det_min=report["det_min"],
+            seconds=report["seconds"],
+        )
+
+
+def read_rows(path: Path) -> list[Row]:
+    """The pairs of a table, in its order.
+
+    Raises:
+        ReadError: no table, columns or cells that are missing or unknown, or two runs of one name.
+    """
+    text = read_text(path)
+    with reading(path, "CSV file", remedy="save it as CSV in UTF-8"):
+        reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
+        columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
+        lines = [(reader.line_num, cells) for cells in reader]
+    known = (*PATHS, NAME)
+    repeated = len(set(columns)) < len(columns)
+    if repeated or not {"source", "target"} <= set(columns) <= set(known):
+        raise ReadError(
+            f"{path} begins with {','.join(columns) or 'nothing'}, expected the columns "
+            f"source,target and those needed of {','.join(known[2:])}, with commas between"
+        )
+    rows = [_row(path, line, cells) for line, cells in lines]
+    if not rows:
+        raise ReadError(f"{path} holds no pairs, expected at least one line after the first")
+    name, count = Counter(row.name for row in rows).most_common(1)[0]
+    if count > 1:
+        where = " and ".join(str(row.line) for row in rows if row.name == name)
+        raise ReadError(
+            f"{path} makes the run {name} in lines {where}: tell them apart in a column {NAME}"
+        )
+    return rows
+
+
+def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
+    if None in cells:
+        raise ReadError(f"{path} has more cells than columns in line {line}: mend it")
+    given = {column: (cells.get(column) or "").strip() for column in (*PATHS, NAME)}
+    if not (given["source"] and given["target"]):
+        raise ReadError(f"{path} names no source or no target in line {line}: mend it")
+    name = given[NAME] or "-".join(stem_of(given[end]) for end in ("source", "target"))
+    if Path(name).name != name or name.startswith("."):
+        raise ReadError(f"{path} names the run '{name}' in line {line}, expected a file's name")
+    source, target = (path.parent / given[end] for end in ("source", "target"))
+    marks = (path.parent / given[side] if given[side] else None for side in LANDMARKS)
+    return Row(name, line, source, target, *marks)
+
+
+def fit_row(
+    row: Row,
+    out: Path,
+    fitting: Fitting,
+    posing: Posing,
+    finding: Finding,
+    *,
+    device: str = "cpu",
+    overwrite: bool = False,
+    on_step: OnStep | None = None,
+    on_warning: OnWarning | None = None,
+) -> Result:
+    """Fit a pair into the run ``out``, go on with it, or keep it where it is what is asked.
+
+    Raises:
+        OutputExistsError: ``out`` is of other inputs or options, and may not be overwritten.
+        KeyboardInterrupt: the fit was interrupted; what it has is kept.
+        SplatmorphError: whatever is wrong with the pair.
+    """
+    own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
+    asked = Request.of(
+        (row.source, row.target),
+        fitting,
+        dataclasses.replace(posing, **own),
+        finding,
+        on_warning=on_warning,
+    )
+    if (out / MANIFEST).is_file() and not has_state(out):
+        report = _report_of_same(asked, out)
+        if report is not None and not report["interrupted"]:
+            return Result.of(row.name, "kept", report)
+        if report is None and not overwrite:
+            raise OutputExistsError(
+                f"{out} is a run of other inputs or options: give `overwrite` to fit it anew, or "
+                "another name"
+            )
+        overwrite = True
+    fitted = asked.fit(
+        out,
+        device=device,
+        resume=has_state(out) and not overwrite,
+        overwrite=overwrite,
+        on_step=on_step,
+        on_warning=on_warning,
+    )
+    report = fitted.legs[0].report
+    if report["interrupted"]:
+        raise KeyboardInterrupt
+    return Result.of(row.name, "fitted", report)
+
+
+def _report_of_same(asked: Request, run: Path) -> Mapping[str, Any] | None:
+    """The report of ``run``, if it is of what is asked and whole."""
+    try:
+        found = open_run(run)
+    except RunError:
+        return None
+    return found.legs[0].report if asked.made(found) else None
+
+
+def write_summary(path: Path, results: Sequence[Result]) -> None:
+    """A CSV file with a line a result.
+
+    Raises ``WriteError``.
+    """
+    columns = [field.name for field in dataclasses.fields(Result)]
+    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(columns)
+        writer.writerows(dataclasses.astuple(result) for result in results)
