@@ -21,6 +21,8 @@ from splatmorph.landmark_files import MARKUPS, READERS, given_twice, parsed
 
 FEWEST = {2: 3, 3: 4}
 """Matched pairs below which an affine map of the plane, of space, is not determined."""
+FOUND = "auto_"
+"""Names of landmarks that a search found on two surfaces begin so; a number follows."""
 
 
 @dataclass(frozen=True)
@@ -158,6 +160,7 @@ class Landmarks:
             own = {name: i for i, name in enumerate(self.names)}
             source_points = self.points[[own[name] for name in common]]
             target_points = target.points[[where[name] for name in common]]
+            _refuse_strangers(self, target, [(own[name], where[name]) for name in common])
         else:
             if len(self) != len(target):
                 raise LandmarkError(
@@ -211,6 +214,21 @@ def _first_of_each(rows: Tensor) -> Tensor:
     first = torch.full((int(inverse.max()) + 1 if len(rows) else 0,), len(rows))
     first.scatter_reduce_(0, inverse, torch.arange(len(rows)), "amin")
     return first.sort().values
+
+
+def _refuse_strangers(source: Landmarks, target: Landmarks, pairs: list[tuple[int, int]]) -> None:
+    """Numbers of two searches are equal and mean nothing; one search is equally sure of both."""
+    if source.confidence is None or target.confidence is None or source.names is None:
+        return
+    strange = torch.zeros(len(source), dtype=torch.bool)
+    for i, j in pairs:
+        found = source.names[i].startswith(FOUND)
+        strange[i] = found and bool(source.confidence[i] != target.confidence[j])
+    if strange.any():
+        raise LandmarkError(
+            f"landmarks {source._list(strange)} of the two come from different searches, so that "
+            "their names don't correspond: find those of these two anew, or delete them"
+        )
 
 
 def _refuse_few(common: Sequence[str], source: Landmarks, target: Landmarks) -> None:

@@ -214,3 +214,16 @@ def test_missing_files_and_other_outputs(tmp_path: Path) -> None:
         Landmarks.read(tmp_path / "no.json")
     with pytest.raises(OptionError, match=r"written as \.json"):
         named().write(tmp_path / "x.csv")
+
+
+def test_numbers_of_two_searches_are_not_taken_for_names() -> None:
+    names = ("nose", *(f"auto_{i:04d}" for i in range(1, 6)))
+    one, other = (torch.linspace(a, 0.9, 6) for a in (0.1, 0.2))
+    source, same, strange = (Landmarks(torch.rand(6, 3), names, sure) for sure in (one, one, other))
+    assert len(source.match(same)[2]) == 6
+    with pytest.raises(LandmarkError, match=r"auto_0001.* different searches"):
+        source.match(strange)
+    # What somebody placed, or what no search has numbered, corresponds by its name.
+    assert len(source.match(Landmarks(torch.rand(6, 3), names))[2]) == 6
+    faces = tuple(f"face_{i}" for i in range(6))
+    assert len(Landmarks(source.points, faces, one).match(Landmarks(same.points, faces, other))[2])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +16,8 @@ from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding, F
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from splatmorph.runs import Request, Run
+    from splatmorph.runs import Input, Request, Run
+    from splatmorph.runs.run import Leg
 
 FittingOptions = Annotated[Fitting, Parameter(name="*")]
 PosingOptions = Annotated[Posing, Parameter(name="*")]
@@ -127,6 +128,8 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
         if report["predicted"] is not None:
             console.say(f"landmarks predict one another within {report['predicted']:.2g}")
         console.say(_errors_of(report))
+        if not (asked.mean or console.manner.quiet):
+            console.say(_gap_of(leg, asked.inputs[i : i + 2]))
         shown = ", ".join(f"{name} {value:.1e}" for name, value in report["laws"].items())
         console.say(f"flow laws, largest error in units of the box: {shown}")
         console.say(f"volume: det ∂Φ/∂x from {report['det_min']:.3g} to {report['det_max']:.3g}")
@@ -136,6 +139,19 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
     typed = shlex.quote(str(folder))
     console.say(f"  splatmorph render {typed}              a turntable while it morphs")
     console.say(f"  splatmorph export {typed} --frames 5   the splats in between")
+
+
+def _gap_of(leg: Leg, pair: Sequence[Input]) -> str:
+    """Whether the surfaces meet, landmarks met or not."""
+    from splatmorph.registration import half_time_gap
+
+    gap = half_time_gap(leg.flow, leg.frame, *(one.gaussians for one in pair))
+    if gap is None:
+        return "surfaces at half-time: nothing solid to compare"
+    return (
+        f"surfaces at half-time: {gap.mean:.3g} world units apart on average, "
+        f"{gap.alone:.0%} without a counterpart"
+    )
 
 
 def _offset(asked: Request, leg: int) -> Tensor | None:

@@ -14,7 +14,7 @@ from splatmorph.errors import LandmarkError, MissingExtraError, OptionError, Rea
 from splatmorph.flows import Node
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.alignment import similarity_between
-from splatmorph.landmarks import Landmarks
+from splatmorph.landmarks import FOUND, Landmarks
 from splatmorph.registration import confidence
 from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.face_network import find_model, load_network
@@ -296,7 +296,7 @@ class _Search:
     ) -> Found:
         p, q, names, own = given
         more, there, local = surface
-        names = (*names, *(f"auto_{i:04d}" for i in range(1, len(more) + 1)))
+        names = (*names, *(f"{FOUND}{i:04d}" for i in range(1, len(more) + 1)))
         each = torch.cat([own, local])
         return Found(
             Landmarks(torch.cat([p, more]), names, each),

@@ -121,9 +121,13 @@ def photograph(
     *,
     background: Colour | None = None,
     near: float | None = None,
-    depth: Depth = "surface",
+    depth: Depth = "expected",
 ) -> Pictures:
-    """Render a splat from every camera; ``near`` in world units, ``depth`` as the renderer's."""
+    """Render a splat from every camera; ``near`` in world units, ``depth`` as the renderer's.
+
+    What is matched is better seen by the expected depth, though it lies deeper: through hair and
+    haze it is smooth, where the surface's steps drown the relief.
+    """
     K = np.repeat(cameras.K[None], len(cameras), 0)
     arrays = renderer_arrays(gaussians)
     side = cameras.side

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import io
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +15,8 @@ from splatmorph.errors import OutputExistsError, ReadError, RunError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.reading import read_text, reading
-from splatmorph.runs.request import OnStep, OnWarning, Request
-from splatmorph.runs.run import MANIFEST, open_run
+from splatmorph.runs.request import OnStep, OnWarning, Request, made_by_search
+from splatmorph.runs.run import MANIFEST, Run, open_run
 from splatmorph.runs.settings import Finding, Fitting, Posing
 from splatmorph.runs.state import has_state
 
@@ -138,15 +138,15 @@ def fit_row(
         SplatmorphError: whatever is wrong with the pair.
     """
     own = {side: getattr(row, side) or getattr(posing, side) for side in LANDMARKS}
-    asked = Request.of(
-        (row.source, row.target),
-        fitting,
-        dataclasses.replace(posing, **own),
-        finding,
-        on_warning=on_warning,
-    )
-    if (out / MANIFEST).is_file() and not has_state(out):
-        report = _report_of_same(asked, out)
+    ends, posing = (row.source, row.target), dataclasses.replace(posing, **own)
+    finished = (out / MANIFEST).is_file() and not has_state(out)
+    if finished:
+        report = _report_of(out, lambda run: made_by_search(run, ends, fitting, posing, finding))
+        if report is not None and not report["interrupted"]:
+            return Result.of(row.name, "kept", report)
+    asked = Request.of(ends, fitting, posing, finding, on_warning=on_warning)
+    if finished:
+        report = _report_of(out, asked.made)
         if report is not None and not report["interrupted"]:
             return Result.of(row.name, "kept", report)
         if report is None and not overwrite:
@@ -169,13 +169,13 @@ def fit_row(
     return Result.of(row.name, "fitted", report)
 
 
-def _report_of_same(asked: Request, run: Path) -> Mapping[str, Any] | None:
-    """The report of ``run``, if it is of what is asked and whole."""
+def _report_of(run: Path, is_it: Callable[[Run], bool]) -> Mapping[str, Any] | None:
+    """The report of ``run``, if it is whole and what is asked for."""
     try:
         found = open_run(run)
     except RunError:
         return None
-    return found.legs[0].report if asked.made(found) else None
+    return found.legs[0].report if is_it(found) else None
 
 
 def write_summary(path: Path, results: Sequence[Result]) -> None:

@@ -23,7 +23,7 @@ from splatmorph.landmarks import Landmarks
 from splatmorph.morph import mean_landmarks
 from splatmorph.registration import Found
 from splatmorph.registration.search import OnStep as OnSearch
-from splatmorph.runs.finding import find
+from splatmorph.runs.finding import described, find, find_common
 from splatmorph.runs.inputs import Input
 from splatmorph.runs.posing import Pair, landmarks_of, load_inputs, thinned
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
@@ -93,6 +93,8 @@ class Request:
     fitting: Fitting
     mean: bool
     """Whether each leg goes from one input to the mean shape, rather than to the next."""
+    finding: Finding | None = None
+    """How landmarks were looked for, where they were."""
 
     @staticmethod
     def of(
@@ -115,16 +117,19 @@ class Request:
         warn = on_warning or _log_warning
         inputs = load_inputs(paths, posing, warn)
         if mean:
-            return Request(inputs, _legs_to_mean(inputs, posing), fitting, mean)
-        legs = []
+            common = find_common(finding, inputs, on_search, warn)
+            legs = _legs_to_mean(inputs, common or [landmarks_of(one) for one in inputs], posing)
+            return Request(inputs, legs, fitting, mean, finding if common else None)
+        chain = []
         for pair in itertools.pairwise(inputs):
             found = find(finding, *pair, on_search, warn)
             if found is None:
                 points = thinned((landmarks_of(pair[0]), landmarks_of(pair[1])), posing)
             else:
                 points = found.source, found.target
-            legs.append(LegRequest.of(points, pair, found))
-        return Request(inputs, tuple(legs), fitting, mean)
+            chain.append(LegRequest.of(points, pair, found))
+        searched = any(leg.found is not None for leg in chain)
+        return Request(inputs, tuple(chain), fitting, mean, finding if searched else None)
 
     @property
     def folder(self) -> Path:
@@ -135,7 +140,7 @@ class Request:
     @property
     def options(self) -> Mapping[str, Any]:
         """What the run remembers of how it was asked for."""
-        return dataclasses.asdict(self.fitting) | {"mean": self.mean}
+        return _options(self.inputs, self.fitting, self.mean, self.finding)
 
     def made(self, run: Run) -> bool:
         """Whether ``run`` is a fit of the same inputs and landmarks with the same options."""
@@ -284,8 +289,38 @@ def claim_run(folder: Path, *, resume: bool, overwrite: bool) -> None:
         )
 
 
-def _legs_to_mean(inputs: Sequence[Input], posing: Posing) -> tuple[LegRequest, ...]:
-    points = [landmarks_of(one) for one in inputs]
+def made_by_search(
+    run: Run,
+    paths: Sequence[str | Path],
+    fitting: Fitting,
+    posing: Posing,
+    finding: Finding,
+) -> bool:
+    """Whether ``run`` is a chain of these inputs, fitted so, for which landmarks were found so.
+
+    Then the search, which always finds the same, need not be made again to say so.
+    """
+    if "finding" not in run.options:
+        return False
+    inputs = load_inputs(paths, posing, lambda _: None)
+    if run.options != _options(inputs, fitting, False, finding):
+        return False
+    return run.inputs == tuple(remember(one) for one in inputs) and all(
+        one.landmarks is None or other.landmarks is None
+        for one, other in itertools.pairwise(inputs)
+    )
+
+
+def _options(
+    inputs: Sequence[Input], fitting: Fitting, mean: bool, finding: Finding | None
+) -> dict[str, Any]:
+    searched = {} if finding is None else {"finding": described(finding, inputs)}
+    return dataclasses.asdict(fitting) | {"mean": mean} | searched
+
+
+def _legs_to_mean(
+    inputs: Sequence[Input], points: Sequence[Landmarks], posing: Posing
+) -> tuple[LegRequest, ...]:
     middle = mean_landmarks(points)
     return tuple(
         LegRequest.of(thinned((marks, middle), posing), [one])

@@ -89,7 +89,14 @@ def failed(result: tuple[int, str, str], *words: str, code: int = 1) -> None:
 def test_fit_says_what_was_met_and_what_to_type_next(pair: tuple[Path, Path], cli: Run) -> None:
     code, out, _ = cli("fit", *pair)
     assert code == 0
-    for words in ("20 landmarks", "before", "after", "flow laws", "wrote a-b.run"):
+    for words in (
+        "20 landmarks",
+        "before",
+        "after",
+        "surfaces at half-time",
+        "flow laws",
+        "wrote a-b.run",
+    ):
         assert words in out
     # The commands that it prints work as they stand.
     (line,) = (line for line in out.splitlines() if "splatmorph export" in line)

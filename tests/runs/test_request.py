@@ -15,7 +15,8 @@ from splatmorph.errors import LandmarkError, OptionError, OutputExistsError, Wri
 from splatmorph.fitting import FitProgress
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
-from splatmorph.runs.request import Request
+from splatmorph.registration import Found
+from splatmorph.runs.request import DEFAULT_FITTING, Request, made_by_search
 
 MakeGaussians = Callable[..., Gaussians]
 
@@ -56,6 +57,54 @@ def test_more_than_two_are_a_chain_and_a_mean_an_average(splats: Path) -> None:
     assert len(mean.average())
     with pytest.raises(OptionError, match="no t"):
         mean.morph()
+
+
+@pytest.fixture
+def searches(splats: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """No landmarks beside a, b and c, and a search that finds some at once; its methods."""
+    made: list[str] = []
+
+    def search(source: Gaussians, target: Gaussians, method: str, **_: object) -> Found:
+        made.append(method)
+        names = tuple(f"auto_{i:04d}" for i in range(1, 13))
+        sure = torch.full((12,), 0.5)
+        ends = (Landmarks(one.means[:12], names, sure) for one in (source, target))
+        return Found(*ends, "surfaces", 0.5, ())
+
+    monkeypatch.setattr("splatmorph.runs.finding.find_landmarks", search)
+    for name in "abc":
+        (splats / f"{name}.landmarks.json").unlink()
+    return made
+
+
+def test_what_is_found_on_the_first_is_common_to_all_of_a_mean(searches: list[str]) -> None:
+    run = sm.fit_run("a.ply", "b.ply", "c.ply", mean=True)
+    assert len(searches) == 2
+    assert [len(leg.names) for leg in run.legs] == [12, 12, 12]
+    for leg, name in zip(run.legs, "abc", strict=True):
+        assert torch.equal(leg.source_points, io.read(f"{name}.ply").means[:12].double())
+    with pytest.raises(LandmarkError, match="no landmarks"):
+        sm.fit_run("a.ply", "b.ply", mean=True, finding=sm.Finding(auto=False), out="x.run")
+
+
+def test_a_run_of_a_search_is_known_without_searching_again(searches: list[str]) -> None:
+    run = sm.fit_run("a.ply", "b.ply")
+    box = sm.Finding(crop=(-9, -9, -9, 9, 9, 9))
+    other = sm.fit_run("a.ply", "b.ply", finding=box, out="box.run")
+    asked = len(searches)
+
+    def made(run: sm.Run, finding: sm.Finding, fitting: sm.Fitting = DEFAULT_FITTING) -> bool:
+        return made_by_search(run, ["a.ply", "b.ply"], fitting, sm.Posing(), finding)
+
+    for one in (run, sm.open_run(run.folder or "")):
+        assert made(one, sm.Finding())
+        assert not made(one, box)
+        assert not made(one, sm.Finding(), sm.Fitting(smoothing=0))
+    assert made(sm.open_run(other.folder or ""), box)
+    Landmarks.read("a-b.run/a.landmarks.json").write("a.landmarks.json")
+    Landmarks.read("a-b.run/b.landmarks.json").write("b.landmarks.json")
+    assert not made(run, sm.Finding())
+    assert len(searches) == asked
 
 
 def test_a_request_knows_its_own_run(splats: Path) -> None:
