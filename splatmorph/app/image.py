@@ -48,6 +48,8 @@ class Warping:
     """Weight of bending against missed landmarks, 1e-4 if not given; 0 meets them."""
     interpolation: str = "bilinear"
     """Between pixels: bilinear or bicubic."""
+    refine: Annotated[bool, Parameter(negative="")] = False
+    """Add what optical flow brings together half way, hair and shoulders say."""
     edge: str = "edge"
     """Beyond a picture: edge, reflect or zero."""
 

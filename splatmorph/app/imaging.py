@@ -31,6 +31,7 @@ from splatmorph.images.blend import Blend
 from splatmorph.images.delaunay import DelaunayWarp
 from splatmorph.images.faces import detect_face
 from splatmorph.images.generative import DiffusersAutoencoder, LatentBlend
+from splatmorph.images.refine import refined
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.standing import standing
 
@@ -74,6 +75,17 @@ def warp_of(
         )
     if warping.warp == "delaunay":
         return DelaunayWarp(*pair, canvases[0]), pair, None
+    warp, report = _fitted(pair, canvases[0], warping, seed)
+    if warping.refine:
+        given = len(pair[0])
+        pair = refined(*pictures, warp, pair)
+        more = len(pair[0]) - given
+        console.say(f"added {more} points that optical flow brings together half way")
+        warp, report = _fitted(pair, canvases[0], warping, seed)
+    return warp, pair, report
+
+
+def _fitted(pair: Pair, canvas: Canvas, warping: Warping, seed: int) -> tuple[FlowWarp, FitReport]:
     torch.manual_seed(seed)
     options = {"field": warping.field} if warping.field else {}
     flow = make_flow(warping.warp, dim=2, **options)
@@ -81,8 +93,8 @@ def warp_of(
     ends = pair[0], pair[1].moved(frame.inverse())
     with console.fitting() as on_step:
         config = FitConfig(seed=seed, smoothing=warping.smoothing)
-        report = fit(flow, *ends, config, domain=_domain(canvases[0]), on_step=on_step)
-    return FlowWarp(flow, frame), pair, report
+        report = fit(flow, *ends, config, domain=_domain(canvas), on_step=on_step)
+    return FlowWarp(flow, frame), report
 
 
 def _domain(canvas: Canvas) -> torch.Tensor:

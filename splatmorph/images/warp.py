@@ -81,12 +81,12 @@ class FlowWarp:
             block = max(1, BLOCK // (2 * lattice.points.nbytes))
         for begin in range(0, len(times), block):
             for source, target in zip(
-                *self._read(lattice.points, times[begin : begin + block]), strict=True
+                *self.read(lattice.points, times[begin : begin + block]), strict=True
             ):
                 yield LatticeMap(lattice, source), LatticeMap(lattice, target)
 
-    def _read(self, x: Tensor, times: Sequence[float]) -> tuple[Tensor, Tensor]:
-        """Where source and target are read for pixels x (m, 2) at times of one S(t): (T, m, 2)."""
+    def read(self, x: Tensor, times: Sequence[float]) -> tuple[Tensor, Tensor]:
+        """Where source and target are read for points x (m, 2) at times of one S(t): (T, m, 2)."""
         start = self.frame.power(-times[0])(x)
         positions = self.flow.trajectory(start, [-t for t in times] + [1 - t for t in times])
         source, target = positions.unflatten(0, (2, len(times)))
@@ -121,7 +121,7 @@ class FlowWarp:
 
     def _farthest(self, x: Tensor) -> Tensor:
         """Where the target is read at t = 0 and the source at t = 1, after all of the way."""
-        return torch.stack([self._read(x, [0.0])[1][0], self._read(x, [1.0])[0][0]])
+        return torch.stack([self.read(x, [0.0])[1][0], self.read(x, [1.0])[0][0]])
 
 
 def sample(

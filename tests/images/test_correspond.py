@@ -14,6 +14,8 @@ from splatmorph.flows import make_flow
 from splatmorph.images import FlowWarp, ImageMorph, Picture
 from splatmorph.images.correspond import dense_motion, follow_motion, match_features
 from splatmorph.images.quality import psnr
+from splatmorph.images.refine import ROOM, refined
+from splatmorph.landmarks import Landmarks
 
 
 def textured(size: int = 256, seed: int = 0) -> Picture:
@@ -85,3 +87,30 @@ def test_pictures_with_nothing_in_common() -> None:
             find(flat, flat)
     with pytest.raises(LandmarkError, match="64x64 and 96x64"):
         follow_motion(flat, painted())
+
+
+def test_what_no_landmark_holds_is_brought_together(frames: list[Picture]) -> None:
+    pytest.importorskip("cv2")
+    first, last, turn = frames[0], frames[2], Turn(0.06)
+    given = torch.tensor([[-0.1, -0.1], [0.1, -0.1], [0.0, 0.1]], dtype=torch.float64)
+    pair = Landmarks(given), Landmarks(given + 0.02)
+    flow = make_flow("node", dim=2)
+    fit(flow, *pair)
+    p, q = refined(first, last, FlowWarp(flow), pair)
+    assert torch.equal(p.points[:3], given)
+    more, pixel = p.points[3:], first.canvas.pixel
+    assert len(more) > 50
+    missed = (turn(more, 1.0) - q.points[3:]).norm(dim=1) / pixel
+    unmoved = (flow(more, 1.0) - turn(more, 1.0)).norm(dim=1) / pixel
+    inner = more.norm(dim=1) < 0.8
+    assert float(missed[inner].median()) < 0.2 * float(unmoved[inner].median())
+    away = torch.cdist(flow(given, 0.5), flow(more, 0.5)).min()
+    assert float(away) > 0.8 * ROOM * 2 / 384
+
+
+def test_pictures_that_meet_stay_as_they_are(frames: list[Picture]) -> None:
+    pytest.importorskip("cv2")
+    given = torch.tensor([[-0.1, -0.1], [0.1, -0.1], [0.0, 0.1]], dtype=torch.float64)
+    pair = Landmarks(given), Landmarks(given)
+    p, q = refined(frames[0], frames[0], FlowWarp(make_flow("linear", dim=2)), pair)
+    assert float((p.points - q.points).abs().max()) < 1e-6

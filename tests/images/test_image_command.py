@@ -52,6 +52,12 @@ def test_one_picture_at_another_size(pair: Path, capsys: pytest.CaptureFixture[s
     assert "already there" in capsys.readouterr().err
 
 
+def test_refined_by_optical_flow(pair: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("cv2")
+    assert run(["image", "a.png", "b.png", "-o", "half.png", "--refine"]) in (0, 3)
+    assert "points that optical flow brings together half way" in capsys.readouterr().out
+
+
 def test_the_ends_are_the_pictures(pair: Path) -> None:
     for t, name in (("0", "a.png"), ("1", "b.png")):
         assert run(["image", "a.png", "b.png", "--t", t, "-o", f"end{t}.png"]) == 0

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph.agreement.neighbours import Neighbours
+from splatmorph.morph.agreement.neighbours import Neighbours, nearest
 
 SOLID = 0.3
 """Opacity from which a splat is part of a surface."""
@@ -51,7 +51,7 @@ class Surface:
         """The mean of the solid splats nearest to points (n, 3); the points where none are."""
         if self._tree is None:
             return points
-        found = self._tree.query(points, SHEET, workers=-1)[1]
+        found = nearest(self._tree, points, SHEET)[1]
         flat: np.ndarray = self._points[found].mean(1)
         return flat
 

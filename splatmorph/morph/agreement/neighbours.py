@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -12,8 +13,21 @@ from splatmorph.gaussians import Gaussians
 COUNT = 24
 """Neighbours of a splat, itself among them."""
 
+Points = NDArray[np.float64]
+Index = NDArray[np.int64]
+
 FAINT = 0.05
 """What a neighbour weighs beyond its opacity."""
+
+
+def nearest(tree: cKDTree, points: Points, count: int) -> tuple[Points, Index]:
+    """Distances and indices (n, count) of what is nearest in ``tree`` to points (n, 3)."""
+    # Asked one beside the other, what a point visits is in the cache for the next.
+    order = cKDTree(points).indices
+    distance, index = np.empty((len(points), count)), np.empty((len(points), count), np.int64)
+    found = tree.query(points[order], list(range(1, count + 1)), workers=-1)
+    distance[order], index[order] = found
+    return distance, index
 
 
 class Neighbours:
@@ -27,8 +41,7 @@ class Neighbours:
     def __init__(self, gaussians: Gaussians, points: Tensor | None = None) -> None:
         means = gaussians.means.double().numpy(force=True)
         at = means if points is None else points.double().numpy(force=True)
-        distance, index = cKDTree(means).query(at, min(COUNT, len(means)), workers=-1)
-        distance, index = (np.reshape(each, (len(at), -1)) for each in (distance, index))
+        distance, index = nearest(cKDTree(means), at, min(COUNT, len(means)))
         self.index = torch.from_numpy(index)
         near = distance / (distance[:, -1:] / 1.5 + 1e-12)
         weights = torch.from_numpy(np.exp(-0.5 * near**2)).float()
