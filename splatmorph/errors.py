@@ -80,5 +80,5 @@ class MissingExtraError(SplatmorphError):
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         super().__init__(
             f"{purpose} needs the package '{package}', which is not installed: "
-            f"run  pip install 'splatmorph[{extra}]'"
+            f"run pip install 'splatmorph[{extra}]'"
         )

@@ -75,6 +75,11 @@ def run(tokens: Sequence[str] | None = None) -> int:
     0 where the user got what was asked, 1 (data), 2 (usage), or what the command returned.
     """
     tokens = sys.argv[1:] if tokens is None else list(tokens)
+    if set(tokens) == {"--version", "--verbose"}:
+        from splatmorph.app.versions import say_versions
+
+        say_versions()
+        return 0
     # The interrupt is the fit's to handle: it keeps the best flow so far.
     app.suppress_keyboard_interrupt = app.meta.suppress_keyboard_interrupt = False
     try:

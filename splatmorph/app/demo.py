@@ -10,10 +10,11 @@ from splatmorph.app.export import export
 from splatmorph.app.fit import fit
 from splatmorph.app.options import Out, Overwrite
 from splatmorph.app.render import render
+from splatmorph.app.view import view
 
 
 def demo(*, out: Out = None, overwrite: Overwrite = False) -> None:
-    """Make the sample pair, fit it, render a turntable of the morph, and export five PLY files."""
+    """Make the sample pair, fit it, render it, export five PLY files, and write a page."""
     from splatmorph.io.atomic import make_folder
     from splatmorph.samples import write_sample_pair
 
@@ -27,4 +28,7 @@ def demo(*, out: Out = None, overwrite: Overwrite = False) -> None:
     console.say("")
     render(run, out=folder / "morph.mp4", overwrite=overwrite)
     export(run, out=folder / "frames", frames=5, overwrite=overwrite)
-    console.say(f"the demo took {time.perf_counter() - begun:.0f} s; look at {folder}/morph.mp4")
+    page = folder / "morph.html"
+    view(run, out=page, overwrite=overwrite)
+    console.say(f"the demo took {time.perf_counter() - begun:.0f} s; watch {folder}/morph.mp4, or")
+    console.say(f"open {page.resolve().as_uri()} in a browser and turn it round")

@@ -132,13 +132,18 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
             console.say(_gap_of(leg, asked.inputs[i : i + 2]))
         shown = ", ".join(f"{name} {value:.1e}" for name, value in report["laws"].items())
         console.say(f"flow laws, largest error in units of the box: {shown}")
-        console.say(f"volume: det ∂Φ/∂x from {report['det_min']:.3g} to {report['det_max']:.3g}")
+        console.say(
+            f"volume: det ∂Φ/∂x from {report['det_min']:.3g} to {report['det_max']:.3g}, "
+            "over a sample of the splats"
+        )
     console.say("")
     console.say(f"wrote {folder}")
     console.say("next:")
     typed = shlex.quote(str(folder))
     console.say(f"  splatmorph render {typed}              a turntable while it morphs")
     console.say(f"  splatmorph export {typed} --frames 5   the splats in between")
+    page = shlex.quote(f"{folder.name.removesuffix('.run')}.html")
+    console.say(f"  splatmorph view {typed} -o {page}   a page to open in any browser, offline")
 
 
 def _gap_of(leg: Leg, pair: Sequence[Input]) -> str:

@@ -185,7 +185,7 @@ class Blending:
     covariance: str | None = None
     """What the flow does to shape and shading: full (the default), rotate or fixed, the paper's."""
     ease: str | None = None
-    """How time runs."""
+    """How time runs: linear (the default), smooth or smoother (slow at both ends)."""
     split: float | None = None
     """Split splats that the flow stretches to more than so many times their length, 2 say."""
 

@@ -69,8 +69,28 @@ def sheet_of(
     parts: bool,
     device: str,
 ) -> Any:
-    from splatmorph.view.sheet import contact_sheet
+    from splatmorph.view.sheet import contact_sheet, views
 
+    degrees = SWING if view.orbit is None else view.orbit
+    width, height = view.size
+
+    def cameras(upright_one: Gaussians, *splats: Gaussians) -> list[Camera]:
+        return orbit(
+            bounds(*splats),
+            [view.azimuth - degrees, view.azimuth, view.azimuth + degrees],
+            elevation=view.elevation,
+            up=upright(upright_one, view.up),
+            width=width,
+            height=height,
+        )
+
+    paper = background or (1.0, 1.0, 1.0)
+    still = still_of(what, blending)
+    if still is not None:
+        if t is not None or parts:
+            raise OptionError(f"{what} is one splat, which has no t and no parts: expected a run")
+        name = what.resolve().stem
+        return views(still, cameras(still, still), name, background=paper, device=device)
     run = open_run(what)
     inputs = run.load_inputs()
     last = len(inputs) - 1
@@ -81,26 +101,18 @@ def sheet_of(
         times = [start + (end - start) * i / (SHEET_COLUMNS - 1) for i in range(SHEET_COLUMNS)]
     else:
         times = list(t.values)
-    degrees = SWING if view.orbit is None else view.orbit
-    width, height = view.size
     morph = run.morph(inputs, stay=True, **blending)
-    cameras = orbit(
-        bounds(*morph.sequence(range(len(inputs)))),
-        [view.azimuth - degrees, view.azimuth, view.azimuth + degrees],
-        elevation=view.elevation,
-        up=upright(inputs[0].gaussians, view.up),
-        width=width,
-        height=height,
-    )
+    around = cameras(inputs[0].gaussians, *morph.sequence(range(len(inputs))))
     console.prepare(morph, times)
-    return contact_sheet(
-        morph,
-        times,
-        cameras,
-        background=background or (1.0, 1.0, 1.0),
-        parts=parts,
-        device=device,
-    )
+    return contact_sheet(morph, times, around, background=paper, parts=parts, device=device)
+
+
+def still_of(what: Path, blending: dict[str, Any]) -> Gaussians | None:
+    """The one splat that ``what`` is, a file, an avatar or an average; None for a run with a t."""
+    if not what.is_dir() or is_avatar(what):
+        return load_splat(what).gaussians
+    run = open_run(what)
+    return run.average(run.load_inputs(), **blending) if run.is_mean else None
 
 
 def cameras_of(view: Viewpoint, shot: Shot, count: int) -> Sequence[Camera]:

@@ -210,6 +210,11 @@ def open_run(folder: str | Path) -> Run:
         RunError: it is no run, incomplete, corrupt, or of another version of the format.
     """
     folder = Path(folder)
+    if folder.is_file():
+        raise RunError(
+            f"{folder} is a file, expected the run directory of a fit: fit two splats first; one "
+            "splat alone can be rendered, viewed and inspected"
+        )
     manifest = _read_json(folder, MANIFEST)
     if manifest.get("format") != FORMAT:
         raise RunError(

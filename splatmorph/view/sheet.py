@@ -65,6 +65,22 @@ def contact_sheet(
     return _laid_out(columns, [f"t = {t:.3g}" for t in times], PARTS if parts else (), background)
 
 
+def views(
+    gaussians: Gaussians,
+    cameras: Sequence[Camera],
+    title: str,
+    *,
+    background: Colour = (1.0, 1.0, 1.0),
+    device: str = "cpu",
+) -> Pixels:
+    """One splat from all of ``cameras``, which make pictures of one size, below its title.
+
+    Returns the sheet, (height, width, 3) uint8.
+    """
+    column = [render(gaussians, camera, background=background, device=device) for camera in cameras]
+    return _laid_out([column], [title], (), background)
+
+
 def _halves(morph: Morph, t: float, whole: Gaussians) -> tuple[Gaussians, Gaussians]:
     """What ``whole``, the morph at t, has of the source and of the target."""
     count = len(morph.source) if t < 1 else 0

@@ -33,45 +33,6 @@ MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
 
 
-def bend(points: torch.Tensor) -> torch.Tensor:
-    x, y, z = points.unbind(-1)
-    return torch.stack([1.2 * x + 0.1 * y**2, y + 0.2 * x, 0.9 * z + 0.1 * x * y], -1)
-
-
-@pytest.fixture
-def pair(
-    tmp_path: Path, make_gaussians: MakeGaussians, monkeypatch: pytest.MonkeyPatch
-) -> tuple[Path, Path]:
-    """Two splats with landmarks beside them, in the current folder."""
-    monkeypatch.chdir(tmp_path)
-    a = make_gaussians(200, 1)
-    b = make_gaussians(150, 0, seed=1)
-    b = replace(b, means=bend(b.means))
-    points = torch.rand(20, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(5))
-    for name, splats, marks in (("a", a, points), ("b", b, bend(points))):
-        io.write(f"{name}.ply", splats)
-        Landmarks(marks, tuple(f"p{i}" for i in range(20))).write(f"{name}.landmarks.json")
-    return Path("a.ply"), Path("b.ply")
-
-
-@pytest.fixture(scope="module")
-def fits() -> list[tuple[str, bytes]]:
-    """The files of the one run of ``pair`` that is fitted for all tests."""
-    return []
-
-
-@pytest.fixture
-def fitted(pair: tuple[Path, Path], cli: Run, fits: list[tuple[str, bytes]]) -> Path:
-    run = Path("a-b.run")
-    if not fits:
-        assert cli("fit", *pair)[0] == 0
-        fits += [(file.name, file.read_bytes()) for file in run.iterdir()]
-    run.mkdir(exist_ok=True)
-    for name, data in fits:
-        (run / name).write_bytes(data)
-    return run
-
-
 def failed(result: tuple[int, str, str], *words: str, code: int = 1) -> None:
     got, _, err = result
     assert got == code, result
@@ -109,7 +70,7 @@ def test_fit_says_what_was_met_and_what_to_type_next(pair: tuple[Path, Path], cl
 def test_what_to_type_next_is_quoted_for_the_shell(pair: tuple[Path, Path], cli: Run) -> None:
     out = cli("fit", *pair, "-o", "it's (1).run")[1]
     lines = [line for line in out.splitlines() if line.startswith("  splatmorph")]
-    assert [shlex.split(line)[2] for line in lines] == ["it's (1).run"] * 2
+    assert [shlex.split(line)[2] for line in lines] == ["it's (1).run"] * 3
 
 
 def test_the_extension_of_out_says_one_file_or_a_folder(fitted: Path, cli: Run) -> None:
