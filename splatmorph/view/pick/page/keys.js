@@ -69,6 +69,7 @@ function leaveOff(session) {
 }
 
 function draws(session, what) {
+  if (session.facts.sides[0].kind === "picture") return;
   session.drawing = session.drawing === what ? null : what;
   session.draw();
 }

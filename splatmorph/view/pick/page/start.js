@@ -33,6 +33,7 @@ async function begin() {
   await openLeg(session, 0);
   [0, 1].forEach((number) => followPane(session, number));
   const actions = actionsOf(session);
+  for (const id of ["box", "lasso", "unmask"]) $(id).hidden = session.facts.sides[0].kind === "picture";
   for (const [id, action] of Object.entries(actions)) $(id)?.addEventListener("click", action);
   followTable(session);
   followPickerKeys(session, actions);
