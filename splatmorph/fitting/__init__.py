@@ -72,7 +72,8 @@ def fit(
     Sets that stand apart, ``similarity_between`` brings together first.
 
     Arguments:
-        source, target: landmarks in world units, matched by ``source.match(target)``.
+        source: landmarks in world units.
+        target: where they go, matched by ``source.match(target)``.
         domain: (m, dim) world points where the object is; the energy is kept small there beside
             the landmarks' box, and the report looks there.
         on_step: called with the progress.
