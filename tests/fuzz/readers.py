@@ -139,6 +139,9 @@ def _state(path: Path) -> None:
 class _Still:
     """A morph of nothing, to be exported."""
 
+    def prepare(self, *_: Any) -> None:
+        """Nothing."""
+
     def sequence(self, times: list[float]) -> Any:
         return (seeds.splats(3) for _ in times)
 
