@@ -3,6 +3,7 @@
     python benchmarks/agreement.py truth A.ply B.ply       splat i of A is splat i of B
     python benchmarks/agreement.py warp HEAD.ply           known warps and a known recolouring
     python benchmarks/agreement.py motion A.ply B.ply      any pair with landmarks beside it
+    python benchmarks/agreement.py cut A.ply B.ply         the same, B cut off below its landmarks
     python benchmarks/agreement.py cost A.ply B.ply        seconds and memory
 
 truth    at t = 1/4, 1/2, 3/4 against the splats interpolated one by one, eight views of 512²
@@ -86,6 +87,13 @@ def pair_of(first: Path, second: Path) -> Pair:
     flow = make_flow("node", 3)
     fit(flow, *sets, domain=source.means.double())
     return Pair(source, target, flow, sets[0].match(sets[1])[0])
+
+
+def cut(pair: Pair) -> Pair:
+    """The target without what lies below its landmarks, and a little more."""
+    marks, heights = pair.flow(pair.landmarks, 1.0)[:, 1], pair.target.means[:, 1]
+    lowest = marks.min() - 0.1 * (marks.max() - marks.min())
+    return replace(pair, target=pair.target.select((heights > lowest).nonzero().flatten()))
 
 
 def picture(gaussians: Gaussians, camera: Camera) -> Picture:
@@ -265,7 +273,7 @@ MOTION = (
 def main() -> None:
     """Print the tables asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("kind", choices=("truth", "warp", "motion", "cost"))
+    parser.add_argument("kind", choices=("truth", "warp", "motion", "cut", "cost"))
     parser.add_argument("files", nargs="+", type=Path)
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=METHODS)
     asked = parser.parse_args()
@@ -282,7 +290,8 @@ def main() -> None:
     if asked.kind == "truth":
         truth = {t: interpolated(pair.source, pair.target, t) for t in TIMES}
         table(name, columns, truth_rows(pair, truth, asked.methods))
-    elif asked.kind == "motion":
+    elif asked.kind in ("motion", "cut"):
+        pair = cut(pair) if asked.kind == "cut" else pair
         table(name, MOTION, (motion_row(name, pair, method) for method in asked.methods))
     else:
         begun = time.perf_counter()

@@ -180,6 +180,8 @@ class Blending:
 
     blend: str | None = None
     """How the halves meet: agree (the default; in colour and shape) or union, the paper's."""
+    lead: float | None = None
+    """How far a place is left to the half with more detail: 0 (evenly) to 3, 1 if not given."""
     ramp: str | None = None
     """How opacities fade: calibrated (the default), power or linear, the paper's."""
     covariance: str | None = None

@@ -54,7 +54,7 @@ def view(
     if out is not None and out.suffix.lower() not in PAGES:
         raise OptionError(f"{out}: the page is an .html (for pictures, see splatmorph render)")
     written = [console.claim(path, overwrite) for path in (out, diagnostics) if path is not None]
-    chosen = Blending(blend, ramp, covariance).chosen()
+    chosen = Blending(blend, ramp=ramp, covariance=covariance).chosen()
     if diagnostics is not None:
         from splatmorph.view.diagnostics import draw_diagnostics, read_history
         from splatmorph.view.subject import open_subject

@@ -29,6 +29,8 @@ DEFAULT_BLEND = "agree"
 
 Offset = tuple[float, float, float]
 
+MOST_LEAD = 3.0
+
 UNSEEN = 1e-6
 """The weight that stands for 0 where splats must stay: never drawn, and its logit is finite."""
 
@@ -74,6 +76,9 @@ class Morph:
     """How the halves meet, a name of ``BLENDS``."""
     landmarks: Tensor | None = None
     """(m, 3) the source's landmarks, where ``agree`` moves nothing beyond the flow."""
+    lead: float = 1.0
+    """How far ``agree`` leaves a place to the half with the stronger detail, ≥ 0: crisper with
+    more, and with 0 both draw it evenly."""
     split: float | None = None
     """Split the splats that the flow stretches on their way from one end to the other beyond so
     many times their length; only strictly between 0 and 1, where a half is fading."""
@@ -85,6 +90,8 @@ class Morph:
         chosen(COVARIANCES, self.covariance, "covariance")
         chosen(EASES, self.ease, "ease")
         chosen(BLENDS, self.blend, "blend")
+        if not 0 <= self.lead <= MOST_LEAD:
+            raise OptionError(f"lead is {self.lead}, expected 0 to {MOST_LEAD:g}")
         if self.split is not None and not 1 < self.split < math.inf:
             raise OptionError(
                 f"split is {self.split}, expected a number above 1: how many times its length a "
@@ -213,7 +220,9 @@ class Morph:
             held = torch.empty(0, 3)
             if self.landmarks is not None:
                 held = self.flow.trajectory(self.landmarks, [0.5])[0]
-            self._agreed.extend(agree(rest, middle, turns, held, on_step))
+            for agreed in agree(rest, middle, turns, held, on_step):
+                lead = (self.lead * agreed.lead.logit()).sigmoid()
+                self._agreed.append(replace(agreed, lead=lead))
         return self._agreed[0], self._agreed[1]
 
     def with_ramp(self, ramp: str) -> Morph:

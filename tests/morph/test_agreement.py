@@ -203,6 +203,16 @@ def test_few_and_strange_splats() -> None:
     assert len(Morph(unseen, SOURCE, still(), blend="agree").at(0.5)) == 50 + len(SOURCE)
 
 
+def test_the_lead_is_as_strong_as_asked() -> None:
+    halves = SOURCE, TARGET
+    evenly, usual = (Morph(*halves, affine_flow(), lead=lead).agreement()[0] for lead in (0, 1))
+    assert (evenly.lead == 0.5).all()
+    assert (usual.lead - 0.5).abs().max() > 0.05
+    for lead in (-1.0, float("nan"), 100.0):
+        with pytest.raises(OptionError, match=r"lead is .*, expected 0 to 3"):
+            Morph(*halves, affine_flow(), lead=lead)
+
+
 def test_an_unknown_blend_is_refused() -> None:
     with pytest.raises(OptionError, match="blend 'mix' is not one of: agree, union"):
         Morph(SOURCE, TARGET, still(), blend="mix")
