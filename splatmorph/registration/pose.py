@@ -180,7 +180,9 @@ class _Batch(NamedTuple):
         return self.s[:, None, None] * (x @ self.R.mT) + self.t[:, None]
 
     def similarity(self, i: int) -> Similarity:
-        return Similarity(self.R[i].double(), float(self.s[i]), self.t[i].double())
+        # In single precision a rotation is one to 1e-6 at best.
+        U, _, Vt = torch.linalg.svd(self.R[i].double())
+        return Similarity(U @ Vt, float(self.s[i]), self.t[i].double())
 
 
 class _Alignment:

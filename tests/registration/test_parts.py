@@ -16,7 +16,7 @@ from splatmorph.registration.assignment import soft
 from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.descriptors import blur
 from splatmorph.registration.gaps import gap_between
-from splatmorph.registration.pose import rotations
+from splatmorph.registration.pose import _Batch, rotations
 from splatmorph.registration.regression import Pairs, Planes, flow, regress, still
 from splatmorph.registration.surfaces import farthest, see_surface
 
@@ -111,3 +111,11 @@ def test_the_gap_of_two_planes_is_their_distance() -> None:
     assert near.alone == 0
     half = gap_between(a, a[a[:, 0] < 0], 1.0)
     assert 0.2 < half.alone < 0.25
+
+
+def test_a_rotation_in_single_precision_is_a_pose() -> None:
+    rounded = torch.eye(3)[None] + 2e-6 * torch.ones(1, 3, 3)
+    batch = _Batch(rounded, torch.ones(1), torch.zeros(1, 3))
+    torch.testing.assert_close(
+        batch.similarity(0).rotation, torch.eye(3).double(), atol=1e-5, rtol=0
+    )
