@@ -3,7 +3,7 @@
     python benchmarks/registration.py pairs DATA [--seeds 3] [--only NAME …] [--method auto]
     python benchmarks/registration.py poses DATA [--tries 30]
 
-DATA is the folder of real inputs (heads/, objects/, meshes/, models/). Every target is turned
+DATA is the folder of real inputs (heads/, meshes/, models/). Every target is turned
 (uniformly on SO(3)), scaled (.3 to 3) and moved at random, and its splats are shuffled; errors are
 those of ``fit`` on the landmarks found, measured back in the unposed target, mm.
 
@@ -46,6 +46,7 @@ from splatmorph.registration.subject import prepare
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+ASSETS = Path(__file__).parents[1] / "assets"
 NOISE = 0.006
 """Metres by which a head's splat may be off its neighbours' median motion to count as truth."""
 ON_FACE = 0.012
@@ -133,11 +134,10 @@ def _covers(splat: Gaussians) -> Mask:
     return np.asarray(area > 0.02 * np.quantile(area, 0.9))
 
 
-def sample(data: Path) -> Case:
+def sample() -> Case:
     """The sample pair and its 222 true marks."""
-    folder = data / "objects"
-    sides = [io.read(folder / f"{name}.ply") for name in ("ines", "otto")]
-    marks = (Landmarks.read(folder / f"{name}.landmarks.json") for name in ("ines", "otto"))
+    sides = [io.read(ASSETS / f"{name}.ply") for name in ("ines", "otto")]
+    marks = (Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in ("ines", "otto"))
     p, q, names = next(marks).match(next(marks))
     rest = np.array([name.startswith(REST) for name in names])
     return Case("ines → otto", *sides, p.numpy(), q.numpy(), ~rest, rest)
@@ -226,7 +226,7 @@ def cases(data: Path) -> dict[str, tuple[Callable[[], Case], tuple[str, ...]]]:
         "james-status": (partial(heads, data, "james", "status"), both),
         "status-p2-1": (partial(heads, data, "status", "p2-1"), both),
         "james-p2-1": (partial(heads, data, "james", "p2-1"), both),
-        "ines-otto": (partial(sample, data), both),
+        "ines-otto": (sample, both),
         "twist": (partial(warped, data, "twist"), both),
         "swelling": (partial(warped, data, "swelling"), both),
         "floaters": (lambda: with_floaters(heads(data, "james", "status")), ("auto",)),

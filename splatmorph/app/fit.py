@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
 from splatmorph.app import console
+from splatmorph.app.landmarks import how_to_mend
 from splatmorph.app.options import Auto, Device, Out, Overwrite, Searching, Splat, choose_device
 from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding, Fitting, Posing
 
@@ -112,9 +114,11 @@ def _summarise(asked: Request, run: Run, folder: Path) -> None:
     names = " → ".join(one.name for one in asked.inputs)
     counts = " + ".join(f"{len(one.gaussians):,}" for one in asked.inputs)
     console.say(f"{names}: {counts} splats")
-    for found in (leg.found for leg in asked.legs):
-        if found is not None:
-            console.say(str(found))
+    for one, pair in zip(asked.legs, pairwise(asked.inputs), strict=False):
+        if one.found is not None:
+            console.say(str(one.found))
+            if one.found.doubtful:
+                console.say(how_to_mend(pair[0].path, pair[1].path, start="auto"))
     for i, leg in enumerate(run.legs):
         report = leg.report
         if said := standing(leg.frame, leg.source_points, _offset(asked, i)):

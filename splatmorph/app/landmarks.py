@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from splatmorph.app import console
@@ -27,7 +28,7 @@ def landmarks(
     """
     from splatmorph.registration import find_landmarks
     from splatmorph.registration.masks import without_masked
-    from splatmorph.runs.inputs import load_splat
+    from splatmorph.runs.inputs import as_in_file, load_splat
 
     loaded = load_splat(source), load_splat(target)
     a, b = (without_masked(one.gaussians, one.path) for one in loaded)
@@ -49,11 +50,22 @@ def landmarks(
     for warning in found.warnings:
         console.warn(warning)
     console.say(str(found))
-    for path, points in zip(paths, (found.source, found.target), strict=True):
-        points.write(path)
+    ends = zip(paths, (found.source, found.target), loaded, strict=True)
+    for path, points, one in ends:
+        as_in_file(points, one.gaussians).write(path)
         console.say(f"wrote {path}")
+    if found.doubtful:
+        console.say(how_to_mend(source, target, out))
 
 
 def _path_of(splat: Path, name: str, folder: Path | None) -> Path:
     beside = splat.parent if folder is None else folder
     return beside / f"{name}.landmarks.json"
+
+
+def how_to_mend(source: Path, target: Path, folder: Path | None = None, start: str = "") -> str:
+    """What to type to look at doubtful landmarks: beside the splats, in a folder, or found anew."""
+    words = ["splatmorph", "pick", str(source), str(target)]
+    words += ["-o", str(folder)] if folder else []
+    words += ["--start", start] if start else []
+    return f"to see the pairs and mend them: {shlex.join(words)}"

@@ -141,7 +141,12 @@ def _box(type_: Any, tokens: Sequence[Any]) -> tuple[float, ...]:
 
 def _box_option(text: str) -> Any:
     return Parameter(
-        converter=_box, n_tokens=1, accepts_keys=False, allow_leading_hyphen=True, help=text
+        converter=_box,
+        n_tokens=1,
+        accepts_keys=False,
+        negative="",
+        allow_leading_hyphen=True,
+        help=text,
     )
 
 

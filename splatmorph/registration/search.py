@@ -54,6 +54,11 @@ class Found:
     warnings: tuple[str, ...]
     """What may be wrong, one line each."""
 
+    @property
+    def doubtful(self) -> bool:
+        """Whether somebody should look at them."""
+        return self.confidence < confidence.FAIR or bool(self.warnings)
+
     def __str__(self) -> str:
         return (
             f"found {len(self.source)} landmarks by {self.how}: "

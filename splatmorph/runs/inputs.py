@@ -116,6 +116,12 @@ def load_input(
     return replace(loaded, landmarks=found)
 
 
+def as_in_file(landmarks: Landmarks, gaussians: Gaussians) -> Landmarks:
+    """Landmarks on loaded splats, in the coordinates of the file: with its offset."""
+    offset = landmarks.points.new_tensor(gaussians.offset)
+    return replace(landmarks, points=landmarks.points + offset)
+
+
 def bounding_box(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
     """Corners (3,) of the box that holds all but the outermost 1 % of centers on each side."""
     means = gaussians.means.double()

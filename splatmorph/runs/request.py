@@ -24,7 +24,7 @@ from splatmorph.morph import mean_landmarks
 from splatmorph.registration import Found
 from splatmorph.registration.search import OnStep as OnSearch
 from splatmorph.runs.finding import described, find, find_common
-from splatmorph.runs.inputs import Input
+from splatmorph.runs.inputs import Input, as_in_file
 from splatmorph.runs.posing import Pair, landmarks_of, load_inputs, thinned
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
 from splatmorph.runs.settings import (
@@ -186,7 +186,8 @@ class Request:
                 )
                 for one, landmarks in sides:
                     stem = one.name if len(self.legs) == 1 else f"{i}-{one.name}"
-                    landmarks.write(folder / f"{stem}.landmarks.json")
+                    path = folder / f"{stem}.landmarks.json"
+                    as_in_file(landmarks, one.gaussians).write(path)
         return run
 
     def _fit_leg(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ from splatmorph.fitting import FitProgress
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
 from splatmorph.registration import Found
+from splatmorph.runs.inputs import as_in_file
 from splatmorph.runs.request import DEFAULT_FITTING, Request, made_by_search
 
 MakeGaussians = Callable[..., Gaussians]
@@ -85,6 +87,20 @@ def test_what_is_found_on_the_first_is_common_to_all_of_a_mean(searches: list[st
         assert torch.equal(leg.source_points, io.read(f"{name}.ply").means[:12].double())
     with pytest.raises(LandmarkError, match="no landmarks"):
         sm.fit_run("a.ply", "b.ply", mean=True, finding=sm.Finding(auto=False), out="x.run")
+
+
+def test_what_is_found_is_written_in_the_coordinates_of_the_file(
+    searches: list[str], splats: Path
+) -> None:
+    far = (4e5, 5e6, 100.0)
+    there = replace(io.read("a.ply"), offset=far)
+    points = as_in_file(Landmarks(there.means[:5]), there).points
+    assert torch.equal(points, there.means[:5].double() + torch.tensor(far, dtype=torch.float64))
+    sm.fit_run("a.ply", "b.ply")
+    Path("a-b.run/a.landmarks.json").rename("a.landmarks.json")
+    found = sm.load_input("a.ply").landmarks
+    assert found is not None
+    assert torch.equal(found.points, io.read("a.ply").means[:12].double())
 
 
 def test_a_run_of_a_search_is_known_without_searching_again(searches: list[str]) -> None:
