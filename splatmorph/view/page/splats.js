@@ -114,7 +114,6 @@ class SplatPainter {
     this.scene = scene;
     this.canvas = canvas;
     this.most = Math.max(...scene.legs.map((leg) => leg.count));
-    this.least = 0;
     this.sort = new DepthSort(this.most);
     const gl = canvas.getContext("webgl2", { alpha: true, antialias: false, premultipliedAlpha: true, powerPreference: "high-performance" });
     if (!gl) throw new Error("This page draws with WebGL 2, which this browser does not offer or has switched off.");
@@ -165,24 +164,8 @@ class SplatPainter {
     this.ramp = ramp;
   }
 
-  // Draw only so many of a splat alone: those that cover most. For pictures in motion.
-  thin(most) {
-    const { scene } = this;
-    if (most >= scene.count) return (this.least = 0);
-    if (!this.covers) {
-      const grain = (scene.sizeRange[1] - scene.sizeRange[0]) / 2047;
-      // The two larger sizes of three, by their logarithms; the third has twice the steps' width.
-      this.covers = Float32Array.from({ length: scene.count }, (_, i) => {
-        const sizes = [scene.sizes[3 * i], scene.sizes[3 * i + 1], scene.sizes[3 * i + 2] * 2047 / 1023];
-        return scene.colours[4 * i + 3] ** 2 * Math.exp(grain * (sizes[0] + sizes[1] + sizes[2] - Math.min(...sizes)));
-      });
-      this.ranked = this.covers.slice().sort();
-    }
-    this.least = this.ranked[scene.count - most];
-  }
-
   visible(view, leg, halves, weights) {
-    const { scene, sort, fades, covers, least } = this;
+    const { scene, sort, fades } = this;
     const led = leadWeights(halves.weights);
     const agree = leg.others.length > 0;
     const [row, shift] = [view.rows[2], view.shift[2]];
@@ -194,7 +177,6 @@ class SplatPainter {
     for (let own = 0; own < leg.count; own++) {
       const side = own < leg.sourceCount ? 0 : 1;
       const i = leg.first + own;
-      if (least && covers[i] < least) continue;
       const left = agree ? stackExponent(led[side][leg.others[4 * own + 3]], densityOf(scene, leg.densities[own])) : halves.weights[side];
       // Rising in the weight: what the next row doesn't show is not seen.
       const row = Math.ceil(left * (scene.rampSteps - 1));
@@ -212,8 +194,10 @@ class SplatPainter {
     return { order: sort.run(count), count };
   }
 
-  draw(world, { t, ramp, part }) {
+  // ``few``: only so many splats, the first of the leg.
+  draw(world, { t, ramp, part, few = Infinity }) {
     const at = legAt(this.scene, t);
+    if (few < at.leg.count) at.leg = { ...at.leg, count: Math.round(few) };
     const view = movedView(world, at.leg.frame, at.t);
     const weights = moveWeights(at.leg, at.t);
     const halves = halvesAt(part, at.t);

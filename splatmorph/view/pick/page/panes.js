@@ -95,6 +95,22 @@ class Pane {
   }
 }
 
+// A splat alone with those of its splats first that cover most: the first few are a picture of it.
+function ranked(scene) {
+  const grain = (scene.sizeRange[1] - scene.sizeRange[0]) / 2047;
+  const covers = Float32Array.from({ length: scene.count }, (_, i) => {
+    // The two larger of the three sizes, by their logarithms; the third counts in wider steps.
+    const sizes = [scene.sizes[3 * i], scene.sizes[3 * i + 1], scene.sizes[3 * i + 2] * 2047 / 1023];
+    return scene.colours[4 * i + 3] ** 2 * Math.exp(grain * (sizes[0] + sizes[1] + sizes[2] - Math.min(...sizes)));
+  });
+  const order = Uint32Array.from(covers.keys()).sort((a, b) => covers[b] - covers[a]);
+  for (const name of ["centers", "colours", "rotations", "sizes", "shades"]) {
+    const old = scene[name], columns = old.length / scene.count;
+    if (columns) scene[name] = old.map((_, at) => old[columns * order[Math.floor(at / columns)] + at % columns]);
+  }
+  return scene;
+}
+
 class SplatPane extends Pane {
   constructor(root, number, side, scene) {
     super(root, number);
@@ -102,7 +118,7 @@ class SplatPane extends Pane {
     this.most = scene.count;
     this.up = side.up;
     this.camera = new OrbitCamera(firstCamera(side, side.up));
-    this.painter = new SplatPainter(this.canvas(), scene);
+    this.painter = new SplatPainter(this.canvas(), ranked(scene));
     this.few = scene.count;
     this.between = null; // the painter of a morph, and its canvas over the other
     this.t = 1;
@@ -126,8 +142,7 @@ class SplatPane extends Pane {
     if (this.over) this.over.hidden = !plays;
     const [width, height] = this.size.map((side) => Math.max(1, Math.round(side * ratio)));
     if (used.canvas.width !== width || used.canvas.height !== height) Object.assign(used.canvas, { width, height });
-    if (!plays) painter.thin(moving ? this.few : this.most);
-    used.draw(this.camera.view(width, height), { t: plays ? this.t : 0, ramp: 0, part: "morph" });
+    used.draw(this.camera.view(width, height), { t: plays ? this.t : 0, ramp: 0, part: "morph", few: plays || !moving ? undefined : this.few });
   }
 
   // Pictures in motion give up splats, then pixels, where the device is slow.
