@@ -14,6 +14,7 @@ from torch import Tensor
 from splatmorph.avatars.unpickle import as_array, load_object_array
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.geometry.spreading import farthest
 from splatmorph.landmarks import Landmarks
 
 LANDMARK_SETS = ("70", "254", "dense")
@@ -77,27 +78,9 @@ def thin(source: Landmarks, target: Landmarks, count: int = 500) -> tuple[Landma
     if count < 4:
         raise OptionError(f"{count} landmarks are too few to fit a flow, expected at least 4")
     p, q, names = source.match(target)
-    kept = farthest_points(torch.cat([p, q], dim=1), count)
+    kept = torch.from_numpy(np.sort(farthest(torch.cat([p, q], dim=1).numpy(), count)))
     chosen = tuple(names[i] for i in kept.tolist())
     return Landmarks(p[kept], chosen), Landmarks(q[kept], chosen)
-
-
-def farthest_points(points: Tensor, count: int) -> Tensor:
-    """Indices, ascending, of up to ``count`` of the (n, d) points, each far from the others.
-
-    Starts with the point that is farthest from the mean, then takes the one that is farthest
-    from all taken.
-    """
-    if count >= len(points):
-        return torch.arange(len(points))
-    nearest = (points - points.mean(0)).square().sum(1)
-    taken = []
-    for number in range(count):
-        chosen = int(nearest.argmax())
-        taken.append(chosen)
-        away = (points - points[chosen]).square().sum(1)
-        nearest = away if number == 0 else torch.minimum(nearest, away)
-    return torch.tensor(sorted(taken))
 
 
 def _at_vertices(chosen: Tensor, vertices: Tensor) -> Landmarks:

@@ -18,11 +18,12 @@ from torch import Tensor
 
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.geometry.spreading import farthest
 from splatmorph.registration import descriptors
 from splatmorph.registration.assignment import soft
 from splatmorph.registration.matches import FACINGS, LOOKS, SHAPES
 from splatmorph.registration.subject import Subject, turned
-from splatmorph.registration.surfaces import Surface, farthest
+from splatmorph.registration.surfaces import Surface
 
 STARTS, BATCH = 96, 16
 COARSE, FINE, JUDGED = 300, 900, 1000
@@ -140,7 +141,7 @@ def _mean_best(costs: Tensor, most: float) -> float:
 
 
 def _few(surface: Surface, count: int) -> Surface:
-    return surface.select(farthest(surface.points, count))
+    return surface.select(farthest(surface.points, count, first=0))
 
 
 def _propose(source: Subject, target: Subject) -> list[Similarity]:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.flows import Node, SplineField
-from splatmorph.registration.surfaces import farthest
+from splatmorph.geometry.spreading import farthest
 
 ROUNDING = 2e-2
 STEPS = 4
@@ -81,7 +81,7 @@ def regress(
     if planes is not None:
         p, q = torch.cat([p, planes.p]), torch.cat([q, planes.q])
     middle = ((p + q) / 2).double()
-    knots = middle[torch.from_numpy(farthest(middle.numpy(), centers))]
+    knots = middle[torch.from_numpy(farthest(middle.numpy(), centers, first=0))]
     system = _System(SplineField(3, rounding=ROUNDING), knots, middle, pairs, planes, bending)
     node = start
     for _ in range(corrections):

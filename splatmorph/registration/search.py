@@ -14,6 +14,7 @@ from splatmorph.errors import LandmarkError, MissingExtraError, OptionError, Rea
 from splatmorph.flows import Node
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.alignment import similarity_between
+from splatmorph.geometry.spreading import farthest
 from splatmorph.landmarks import FOUND, Landmarks
 from splatmorph.registration import confidence
 from splatmorph.registration.cleaning import without_floaters
@@ -24,7 +25,6 @@ from splatmorph.registration.matches import FREE, FROM_AFAR, HELD, Matched, Sche
 from splatmorph.registration.pose import find_poses
 from splatmorph.registration.regression import Pairs, flow
 from splatmorph.registration.subject import Subject, prepare
-from splatmorph.registration.surfaces import farthest
 
 METHODS = ("auto", "face", "surface")
 COUNT = 400
@@ -346,7 +346,7 @@ class _Flowing:
         for subject, weights, t in zip(
             (self.source, self.target), self.matched.weights, (1.0, -1.0), strict=True
         ):
-            chosen = torch.from_numpy(farthest(subject.samples.points, count // 2))
+            chosen = torch.from_numpy(farthest(subject.samples.points, count // 2, first=0))
             own = torch.from_numpy(subject.samples.points)
             there = flow(self.node, own[chosen], t).double()
             ends.append((own[chosen], there) if t > 0 else (there, own[chosen]))

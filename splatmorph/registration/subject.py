@@ -9,8 +9,9 @@ import torch
 
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.geometry.spreading import farthest
 from splatmorph.registration import descriptors
-from splatmorph.registration.surfaces import Array, Surface, farthest, see_surface
+from splatmorph.registration.surfaces import Array, Surface, see_surface
 
 SAMPLES = 2600
 RING = (0.06, 0.3)
@@ -54,7 +55,8 @@ def prepare(gaussians: Gaussians, *, samples: int = SAMPLES, seed: int = 0) -> S
     to_unit = Similarity(torch.eye(3, dtype=torch.float64), 1 / radius, -middle / radius)
     gaussians, dense = gaussians.moved(to_unit), turned(dense, to_unit)
     stretch = np.sqrt(np.clip(_detail(gaussians, dense), 1 / MOST_STRETCH, MOST_STRETCH))
-    chosen = farthest(dense.points, samples, stretch, seed)
+    first = int(np.random.default_rng(seed).integers(len(dense.points))) if seed else 0
+    chosen = farthest(dense.points, samples, first=first, stretch=stretch)
     return Subject(gaussians, dense, dense.select(chosen), to_unit)
 
 
@@ -62,7 +64,7 @@ def _detail(gaussians: Gaussians, surface: Surface) -> Array:
     """(n,) how unlike its surroundings each point looks; 1 is the usual."""
     cameras = descriptors.cameras_of(np.zeros(3))
     seen = descriptors.describe(gaussians, surface.points, surface.normals, cameras)
-    few = farthest(surface.points, REFERENCES)
+    few = farthest(surface.points, REFERENCES, first=0)
     where = torch.full((len(surface),), -1)
     where[torch.from_numpy(few)] = torch.arange(len(few))
     references = []

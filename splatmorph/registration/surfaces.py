@@ -175,21 +175,3 @@ def _features(points: Array, normals: Array, colours: Array, radius: float) -> N
     middle = np.median(features, 0)
     spread = 1.4826 * np.median(np.abs(features - middle), 0) + 1e-3
     return np.clip((features - middle) / spread, -3, 3).astype(np.float32)
-
-
-def farthest(
-    points: Array, count: int, stretch: Array | None = None, seed: int = 0
-) -> NDArray[np.intp]:
-    """Indices of ``count`` points that lie far apart, each next one farthest from all before.
-
-    ``stretch`` (n,) multiplies a point's distance to the others: more of them where it is large.
-    """
-    if len(points) <= count:
-        return np.arange(len(points))
-    first = int(np.random.default_rng(seed).integers(len(points))) if seed else 0
-    squares = None if stretch is None else stretch**2
-    picked, gap = [first], np.full(len(points), np.inf)
-    for _ in range(count - 1):
-        gap = np.minimum(gap, ((points - points[picked[-1]]) ** 2).sum(1))
-        picked.append(int((gap if squares is None else gap * squares).argmax()))
-    return np.array(picked)

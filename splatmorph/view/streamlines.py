@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from renderer import Camera, to_bytes
 from splatmorph.errors import MissingExtraError, OptionError, WriteError
 from splatmorph.geometry.harmonics import SH0
+from splatmorph.geometry.spreading import farthest
 from splatmorph.io.atomic import atomic_write
 from splatmorph.rendering import rasterize, renderer_arrays
 from splatmorph.view.colour_bar import colour_bar
@@ -84,7 +84,8 @@ def trace(subject: Subject, *, seeds: int = 240, colouring: str = "speed") -> St
         raise OptionError(f"colour '{colouring}' is not one of: {', '.join(COLOURINGS)}")
     flow, source = subject.morph.flow, subject.morph.source
     surface = source.means[thin(source, CLOUD)].double()
-    starts = torch.cat([subject.source_points.to(surface), _spread(surface, seeds)])
+    seeded = surface[farthest(surface.numpy(force=True), seeds, first=0)]
+    starts = torch.cat([subject.source_points.to(surface), seeded])
     if not len(starts):
         raise OptionError("no landmarks and no seeds: nothing to draw streamlines from")
     times = np.linspace(0, 1, STEPS).tolist()
@@ -103,16 +104,6 @@ def trace(subject: Subject, *, seeds: int = 240, colouring: str = "speed") -> St
         colouring,
         np.arange(len(starts)) < len(subject.source_points),
     )
-
-
-def _spread(points: Tensor, count: int) -> Tensor:
-    """``count`` of the points (m, 3), each the farthest from those before it."""
-    chosen: list[int] = []
-    distances = torch.full((len(points),), torch.inf, dtype=points.dtype)
-    for _ in range(min(count, len(points))):
-        chosen.append(int(distances.argmax()))
-        distances = torch.minimum(distances, (points - points[chosen[-1]]).norm(dim=1))
-    return points[chosen]
 
 
 def save_lines(path: Path, lines: Streamlines) -> None:

@@ -8,11 +8,9 @@ import flame_twin
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from splatmorph.avatars import load_avatar, thin
-from splatmorph.avatars.landmark_sets import farthest_points, paper_vertices
+from splatmorph.avatars.landmark_sets import paper_vertices
 from splatmorph.avatars.unpickle import as_array, load_object_array
 from splatmorph.errors import LandmarkError, OptionError, ReadError
 from splatmorph.landmarks import Landmarks
@@ -95,18 +93,6 @@ def test_what_is_wrong_with_landmarks(anna: Path, flame_folder: Path, tmp_path: 
 
 POINTS = torch.from_numpy(np.random.default_rng(0).normal(size=(200, 3)))
 NAMES = tuple(f"p{i}" for i in range(200))
-
-
-@settings(max_examples=20, deadline=None)
-@given(count=st.integers(1, 199))
-def test_farthest_points_cover_better_than_any_gap_between_them(count: int) -> None:
-    kept = farthest_points(POINTS, count)
-    assert len(set(kept.tolist())) == count
-    assert torch.equal(kept, kept.sort().values)
-    # The law of farthest-point sampling: every point is nearer to a chosen one than the two
-    # nearest chosen ones are to each other.
-    chosen = torch.cdist(POINTS[kept], POINTS[kept]) + torch.eye(count) * 1e9
-    assert torch.cdist(POINTS, POINTS[kept]).amin(1).max() <= chosen.min() + 1e-12
 
 
 def test_thinning_is_the_same_from_both_sides() -> None:

@@ -12,13 +12,14 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 import splatmorph as sm
+from splatmorph.geometry.spreading import farthest
 from splatmorph.registration.assignment import soft
 from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.descriptors import blur
 from splatmorph.registration.gaps import gap_between
 from splatmorph.registration.pose import _Batch, rotations
 from splatmorph.registration.regression import Pairs, Planes, flow, regress, still
-from splatmorph.registration.surfaces import farthest, see_surface
+from splatmorph.registration.surfaces import see_surface
 
 ASSETS = Path(__file__).parents[2] / "assets"
 

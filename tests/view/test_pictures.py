@@ -19,6 +19,7 @@ from splatmorph.errors import MissingExtraError, OptionError, WriteError
 from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.geometry.spreading import farthest
 from splatmorph.io import write
 from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
@@ -52,7 +53,7 @@ class TestStreamlines:
 
     def test_seeds_are_on_the_object_and_spread_out(self):
         points = torch.rand(500, 3, dtype=torch.float64)
-        chosen = streamlines._spread(points, 8)
+        chosen = points[farthest(points.numpy(), 8)]
         gaps = torch.cdist(chosen, chosen) + 9 * torch.eye(8)
         assert gaps.min() > 0.5
 
