@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError, OptionError, ReadError
+from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import atomic_write
@@ -139,6 +140,14 @@ class Landmarks:
         """The same points, each at s R x + t."""
         return replace(self, points=similarity(self.points))
 
+    def similarity_to(self, target: Landmarks) -> Similarity:
+        """Where the target stands as a whole: what takes these points closest to their partners.
+
+        Raises:
+            LandmarkError: see :meth:`match`; or the one set is the mirror image of the other.
+        """
+        return similarity_between(*self.match(target)[:2])
+
     def match(self, target: Landmarks) -> tuple[Tensor, Tensor, tuple[str, ...]]:
         """The pairs that both sets have, in the order of this one.
 
@@ -177,6 +186,13 @@ class Landmarks:
         _refuse_contradictions(source_points, common, "source")
         _refuse_contradictions(target_points, common, "target")
         return source_points, target_points, tuple(common)
+
+    def given(self, names: Sequence[str]) -> Tensor:
+        """(m,) which of the landmarks called so somebody vouches for: all but those found."""
+        if self.confidence is None or self.names is None:
+            return torch.ones(len(names), dtype=torch.bool)
+        sure = dict(zip(self.names, self.confidence.tolist(), strict=True))
+        return torch.tensor([sure.get(name, 1.0) >= 1 for name in names])
 
     def check_near(self, low: Tensor, high: Tensor, what: str) -> None:
         """Refuse points far outside the box from ``low`` to ``high`` (dim,) of the object.
@@ -259,5 +275,6 @@ def _refuse_contradictions(points: Tensor, names: Sequence[str], side: str) -> N
 
 def _in_order(confidence: object, names: tuple[str, ...] | None) -> Tensor | None:
     if isinstance(confidence, dict):
-        confidence = [confidence[name] for name in names or ()]
+        # What a person has added to what was found has none.
+        confidence = [confidence.get(name, 1.0) for name in names or ()]
     return None if confidence is None else torch.tensor(confidence, dtype=torch.float64)

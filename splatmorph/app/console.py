@@ -118,19 +118,19 @@ def spoken(message: object) -> str:
 
 
 class _Listener(logging.Handler):
-    """The renderer's log, shown as our own lines."""
+    """The library's log, shown as our own lines."""
 
     def emit(self, record: logging.LogRecord) -> None:
         (note if record.name == "renderer.notices" else warn)(record.getMessage())
 
 
 def listen() -> None:
-    """Show what the renderer logs."""
-    log = logging.getLogger("renderer")
-    if not any(isinstance(handler, _Listener) for handler in log.handlers):
-        log.addHandler(_Listener())
-        log.setLevel(logging.INFO)
-        log.propagate = False
+    """Show what the renderer and the library log."""
+    for log in (logging.getLogger("renderer"), logging.getLogger("splatmorph")):
+        if not any(isinstance(handler, _Listener) for handler in log.handlers):
+            log.addHandler(_Listener())
+            log.setLevel(logging.INFO)
+            log.propagate = False
 
 
 def emit_json(value: Mapping[str, object]) -> None:

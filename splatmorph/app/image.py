@@ -100,6 +100,7 @@ def image(
     from renderer import check_output, write_image
     from splatmorph.app.imaging import blend_of, say_standing, summarise, warp_of, write_morph
     from splatmorph.images import Canvas, FlowWarp, ImageMorph, Picture
+    from splatmorph.images.delaunay import DelaunayWarp
     from splatmorph.images.draw import contact_sheet, warped_grid
 
     path = out or Path(f"{source.stem}-{target.stem}.mp4")
@@ -125,7 +126,7 @@ def image(
         write_image(grid, warped_grid(morph, *matched))
     if report is not None and report.missed:
         console.fail(report.status)
-    if not json and isinstance(warp, FlowWarp) and pair is not None:
+    if not json and isinstance(warp, FlowWarp | DelaunayWarp) and pair is not None:
         say_standing(warp.frame, pair[0].points, pictures[0].canvas.pixel)
     summarise(morph, report, [p for p in (done, sheet, grid) if p is not None], json)
     return console.MISSED if report is not None and report.missed else 0

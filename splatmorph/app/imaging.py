@@ -14,7 +14,6 @@ from splatmorph.app.render import STILLS, WITH_ALPHA
 from splatmorph.errors import OptionError
 from splatmorph.fitting import FitConfig, FitReport, fit
 from splatmorph.flows import Linear, make_flow
-from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.images import (
     Canvas,
@@ -74,7 +73,7 @@ def warp_of(
             f"{dropped} landmarks have no partner, or are one with another in both pictures"
         )
     if warping.warp == "delaunay":
-        return DelaunayWarp(*pair, canvases[0]), pair, None
+        return DelaunayWarp(*pair, canvases[0], pair[0].similarity_to(pair[1])), pair, None
     warp, report = _fitted(pair, canvases[0], warping, seed)
     if warping.refine:
         given = len(pair[0])
@@ -89,7 +88,7 @@ def _fitted(pair: Pair, canvas: Canvas, warping: Warping, seed: int) -> tuple[Fl
     torch.manual_seed(seed)
     options = {"field": warping.field} if warping.field else {}
     flow = make_flow(warping.warp, dim=2, **options)
-    frame = similarity_between(*pair[0].match(pair[1])[:2])
+    frame = pair[0].similarity_to(pair[1])
     ends = pair[0], pair[1].moved(frame.inverse())
     with console.fitting() as on_step:
         config = FitConfig(seed=seed, smoothing=warping.smoothing)

@@ -113,7 +113,7 @@ def _refitted(subject: Subject, kind: str) -> Subject:
         fit(
             flow,
             Landmarks(subject.source_points, names),
-            Landmarks(subject.target_points, names),
+            Landmarks(subject.target_points, names).moved(subject.morph.frame.inverse()),
             domain=subject.morph.source.means,
             on_step=lambda progress: update(
                 progress.step, progress.steps, f"error {progress.mse:.2e}"

@@ -17,6 +17,7 @@ from splatmorph.fitting.diagnosis import (
     choose_steps,
     contradictions,
     missed_by_far,
+    standing_apart,
     status_of,
 )
 from splatmorph.fitting.methods import fitted_by, method_of
@@ -69,7 +70,14 @@ def fit(
     far to trust them is chosen, unless ``config`` says it, and the flow is solved for or trained,
     as ``methods`` says of its class. Everything runs where the flow is, the landmarks included;
     on the CPU same inputs give the same bits, whatever its cores.
-    Sets that stand apart, ``similarity_between`` brings together first.
+    What a target that is turned, moved or of another size stands apart by is not for a flow:
+
+        frame = source.similarity_to(target)
+        report = fit(flow, source, target.moved(frame.inverse()))
+        morph = Morph(a, b, flow, frame=frame)
+
+    Where that was left in and landmarks are missed, the report warns of it, and so does the log.
+    Landmarks that a search found, having a confidence, are not held against one another.
 
     Arguments:
         source: landmarks in world units.
@@ -108,10 +116,15 @@ def fit(
         finished = False
     seconds = time.perf_counter() - begun
     report = _report(flow, p, q, names, domain, chosen, history, seconds, finished)
+    given = source.given(names) & target.given(names)
+    trusted = [side[given.to(device)] for side in ends]
+    doubts = contradictions(trusted[0], trusted[1], _those(names, given))
+    doubts += standing_apart(report, p, q)
     asked = config.smoothing is not None or flow.kind == Linear.kind
     return replace(
         report,
         predicted=predicted,
+        warnings=(*doubts, *report.warnings),
         status=status_of(report, asked=asked),
         missed=not asked and missed_by_far(report),
     )
@@ -127,6 +140,10 @@ def _chosen(flow: Flow, p: Tensor, q: Tensor, config: FitConfig) -> tuple[FitCon
     shear = found.shear if config.shear is None else config.shear
     chosen = replace(config, smoothing=found.smoothing, shear=shear)
     return chosen, found.predicted * float(flow.scale)
+
+
+def _those(names: tuple[str, ...], which: Tensor) -> tuple[str, ...]:
+    return tuple(name for name, chosen in zip(names, which.tolist(), strict=True) if chosen)
 
 
 def _lay_frame(flow: Flow, p: Tensor, q: Tensor) -> None:
@@ -164,7 +181,7 @@ def _report(
             "the fitted flow is NaN or infinite at its landmarks: look for landmarks that "
             "contradict each other, or raise the smoothing"
         )
-    warnings = contradictions(flow.to_unit(p), flow.to_unit(q), names)
+    warnings = []
     if quality.det_min < SQUEEZED:
         does = "folds" if quality.det_min <= 0 else "squeezes"
         where = ", ".join(f"{value:.4g}" for value in quality.det_min_at)

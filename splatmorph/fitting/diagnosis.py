@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import logging
+import math
 from collections.abc import Mapping
 
 import torch
 from torch import Tensor
 
+from splatmorph.errors import LandmarkError
 from splatmorph.fitting.choice import suspects
 from splatmorph.fitting.report import SMOOTHING, FitReport
 from splatmorph.flows import Node
+from splatmorph.geometry.alignment import similarity_between
 
 MISSED = 1e-2
 """Largest error of a landmark, frame units, above which it is said to be missed: 0.5 % of the
@@ -27,6 +31,8 @@ STRETCH = 20.0
 UNEVEN = 4.0
 """Times the median error that no smoothing asks for."""
 MOST_NAMED, MOST_TORN = 8, 5
+APART_DEGREES, APART_TIMES, APART_SIZES = 20.0, 1.5, 0.4
+"""A turn, a change of size and a move, in radii, that a stationary flow follows badly."""
 
 
 def contradictions(p: Tensor, q: Tensor, names: tuple[str, ...]) -> list[str]:
@@ -59,6 +65,30 @@ def _torn(p: Tensor, q: Tensor) -> list[tuple[int, int]]:
             rows = torch.nonzero(close & apart).tolist()
             torn |= {(start + i, j) for i, j in rows if start + i < j}
     return sorted(torn)
+
+
+def standing_apart(report: FitReport, p: Tensor, q: Tensor) -> list[str]:
+    """Whether landmarks p, q (k, dim) are missed, and stand apart as wholes: at most a sentence."""
+    if next(iter(report.errors.values())) <= MISSED * report.scale:
+        return []
+    try:
+        frame = similarity_between(p, q)
+    except LandmarkError as error:
+        return [str(error)]
+    middle = p.cpu().double().mean(0)
+    size = float((p.cpu().double() - middle).norm(dim=1).max())
+    moved = float((frame(middle) - middle).norm()) / size
+    grown = abs(math.log(frame.scale))
+    if frame.degrees < APART_DEGREES and grown < math.log(APART_TIMES) and moved < APART_SIZES:
+        return []
+    line = (
+        f"the target stands apart as a whole (turned {frame.degrees:.0f}°, {frame.scale:.3g} times "
+        f"as large, moved by {moved:.2g} of its radius), which no flow follows well: fit to it in "
+        "the source's place (Landmarks.similarity_to says where it stands), and tell the morph its "
+        "frame"
+    )
+    logging.getLogger("splatmorph").warning(line)
+    return [line]
 
 
 def status_of(report: FitReport, *, asked: bool) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from scipy.spatial import Delaunay, QhullError
 from torch import Tensor
 
 from splatmorph.errors import LandmarkError
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.images.canvas import Canvas
 from splatmorph.images.warp import PixelMap
 from splatmorph.landmarks import Landmarks
@@ -35,8 +36,9 @@ class DelaunayWarp:
     """Triangles between the landmarks, each moved by its own affine map.
 
     As morphing with OpenCV is usually shown: landmarks move on straight lines, one Delaunay
-    triangulation of their middle positions serves all times, and the border of the frame is
-    pinned. Triangles may turn over; then the warp folds.
+    triangulation of their middle positions serves all times, and the border of the picture is
+    pinned. Triangles may turn over; then the warp folds. With a frame S, in which the target
+    stands, the lines lead from p to S⁻¹q, and S(t) is played.
 
     Raises:
         LandmarkError: the landmarks don't match, or all lie on one line.
@@ -45,7 +47,9 @@ class DelaunayWarp:
     source: Landmarks
     target: Landmarks
     border: Canvas
-    """The frame whose border is pinned, at the corners and the middles of the sides."""
+    """The picture whose border is pinned, at the corners and the middles of the sides."""
+    frame: Similarity = field(default_factory=lambda: Similarity.identity(2))
+    """S: where the target stands, seen from the source."""
 
     @cached_property
     def _sides(self) -> tuple[Tensor, Tensor]:
@@ -53,12 +57,17 @@ class DelaunayWarp:
         pinned = self.border.border(2)
         return torch.cat([p, pinned]), torch.cat([q, pinned])
 
+    def _between(self, t: float) -> Tensor:
+        p, q = self._sides
+        return self.frame.power(t)((1 - t) * p + t * self.frame.inverse()(q))
+
     @cached_property
     def triangles(self) -> Tensor:
         """(triangles, 3) indices into the landmarks, then the pinned points."""
         p, q = self._sides
+        middle = (p + self.frame.inverse()(q)) / 2
         try:
-            return torch.from_numpy(Delaunay(((p + q) / 2).numpy()).simplices).long()
+            return torch.from_numpy(Delaunay(middle.numpy()).simplices).long()
         except QhullError as error:
             raise LandmarkError(
                 "the landmarks can't be triangulated: too few, or in line"
@@ -69,7 +78,7 @@ class DelaunayWarp:
         centers = canvas.centers()
         p, q = self._sides
         for t in times:
-            middle = (1 - t) * p + t * q
+            middle = self._between(t)
             inside = self._labels(canvas, middle)
             yield (
                 self._map(centers, inside, self._affine(middle, p)),
@@ -78,7 +87,7 @@ class DelaunayWarp:
 
     def carry(self, points: Tensor, t: float) -> Tensor:
         """As ``Warp.carry``."""
-        p, q = self._sides
+        p, _ = self._sides
         corners = p[self.triangles]
         edges = (corners[:, 1:] - corners[:, :1]).mT
         local = torch.linalg.solve(edges, (points.to(p)[:, None] - corners[:, 0])[..., None])[
@@ -87,7 +96,7 @@ class DelaunayWarp:
         weights = torch.cat([1 - local.sum(-1, keepdim=True), local], dim=-1)
         # The triangle that holds the point, or the one that it is least outside of.
         best = weights.amin(-1).argmax(1)
-        moved = ((1 - t) * p + t * q)[self.triangles[best]]
+        moved = self._between(t)[self.triangles[best]]
         chosen = weights[torch.arange(len(points)), best]
         return torch.einsum("mk,mkc->mc", chosen, moved).to(points)
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from splatmorph.gaussians import Gaussians
+from splatmorph.gaussians import UPS, Gaussians
 from splatmorph.registration.face_network import (
     IRIS,
     LEFT_EYE,
@@ -40,6 +40,8 @@ LOOKED_AT, JUDGED = 8, 3
 """Candidates that get landmarks, and that are looked at from the front."""
 
 SIDE, CLOSE_FOV = 512, 20.0
+LEANS = math.radians(45)
+"""A face that leans less stands upright."""
 FRONT_ROUNDS, FRONT_DETECTED = 3, 0.3
 FRONT_ROOM, VIEW_ROOM = 1.68, 1.575
 """Radius of the ball in view, in sizes of the face (outer eye corners to chin)."""
@@ -148,6 +150,30 @@ def find_face(gaussians: Gaussians, network: FaceNetwork) -> FoundFace | None:
     value, points = best
     shots = _shoot(gaussians, network, points)
     return _triangulated(shots, points, value)
+
+
+def upright_face(gaussians: Gaussians, network: FaceNetwork) -> tuple[str, float] | None:
+    """Which axis, of ``UPS``, points up where a face stands upright, and the detector's score.
+
+    Quick: only faces that look along an axis are seen. None where there is none.
+    """
+    means, _, scales, opacities, _ = renderer_arrays(gaussians)
+    bounds = bounds_of(means, opacities, scales)
+    axes = {name: np.array(axis, float) for name, axis in UPS.items()}
+    best: tuple[str, float] | None = None
+    for up, direction in ((u, d) for u in axes for d in axes if abs(axes[u] @ axes[d]) < 0.5):
+        camera = looking(
+            bounds.center,
+            axes[direction][None],
+            axes[up][None],
+            1.05 * bounds.radius,
+            SEARCH_SIDE,
+            SEARCH_FOV,
+        )
+        for box in network.detect(_picture(gaussians, camera)[0], DETECTED)[:1]:
+            if abs(box.angle) < LEANS and (best is None or box.score > best[1]):
+                best = up, box.score
+    return best
 
 
 def _search(gaussians: Gaussians, network: FaceNetwork, tiles: int) -> list[Array]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +16,7 @@ from splatmorph import io
 from splatmorph.avatars import Avatar, is_avatar, load_avatar
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
+from splatmorph.io.offsets import lost_detail
 from splatmorph.io.reading import require_file
 from splatmorph.landmarks import Landmarks
 
@@ -58,6 +60,8 @@ def load_splat(
     An avatar brings the landmarks of its FLAME mesh; a plain splat comes without, and takes no
     notice of the options, which are those of :func:`splatmorph.avatars.load_avatar`.
 
+    A file whose single precision has lost detail is logged as a warning.
+
     Raises:
         ReadError: the input can't be read.
         OptionError: the avatar can't be posed so.
@@ -68,11 +72,24 @@ def load_splat(
     if not path.is_dir():
         require_file(path)
     if not is_avatar(path):
-        return Input(path, io.read(path), None, (path,))
+        return Input(path, _read(path), None, (path,))
     avatar = load_avatar(
         path, frame=frame, pose=pose, landmarks_set=landmarks_set, flame=flame, mesh=mesh
     )
     return Input(path, avatar.gaussians, avatar.landmarks, avatar.files, avatar.options, avatar)
+
+
+def _read(path: Path) -> Gaussians:
+    gaussians = io.read(path)
+    if (spacing := lost_detail(gaussians)) is not None:
+        logging.getLogger("splatmorph").warning(
+            "%s holds its centers in single precision so far from the origin that they are "
+            "rounded to %.2g, more than half of what its splats measure: export it with doubles, "
+            "or nearer to the origin",
+            path,
+            spacing,
+        )
+    return gaussians
 
 
 def load_input(

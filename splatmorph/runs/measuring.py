@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.errors import ReadError
+from splatmorph.gaussians import Gaussians
 from splatmorph.io.arrays import read_npz
 from splatmorph.io.reading import read_text, reading
 from splatmorph.metrics import evaluate
@@ -40,12 +41,28 @@ def measure(run: Run, pairs: tuple[Tensor, Tensor] | None = None) -> list[dict[s
             for leg, (source, target) in zip(run.legs, pairwise(splats), strict=True)
         ]
     )
-    legs = [_measured(leg, points, pairs) for leg, points in zip(run.legs, ends, strict=True)]
+    # A mean shape lies where the first splat does.
+    others = inputs[:1] * len(inputs) if run.is_mean else inputs[1:]
+    legs = [
+        _measured(leg, points, pairs and _without_offsets(pairs, one.gaussians, other.gaussians))
+        for leg, points, one, other in zip(run.legs, ends, inputs, others, strict=False)
+    ]
     if not run.is_mean:
         for measured, made, pair in zip(legs, run.legs, pairwise(inputs), strict=True):
             gap = half_time_gap(made.flow, made.frame, *(one.gaussians for one in pair))
             measured["surfaces"] = None if gap is None else asdict(gap)
     return legs
+
+
+def _without_offsets(
+    pairs: tuple[Tensor, Tensor], source: Gaussians, target: Gaussians
+) -> tuple[Tensor, Tensor]:
+    """Pairs in the coordinates of the files as pairs in those of the centers."""
+    p, q = (
+        points - points.new_tensor(one.offset)
+        for points, one in zip(pairs, (source, target), strict=True)
+    )
+    return p, q
 
 
 def _measured(leg: Leg, splats: Tensor, pairs: tuple[Tensor, Tensor] | None) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from splatmorph.avatars import pose_warnings, thin
 from splatmorph.errors import LandmarkError
-from splatmorph.io.offsets import lost_detail
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.inputs import Input, load_input
 from splatmorph.runs.settings import Posing
@@ -40,13 +39,6 @@ def load_inputs(
         )
         for path, (landmarks, mesh) in zip(paths, sides, strict=True)
     )
-    for one in loaded:
-        if (spacing := lost_detail(one.gaussians)) is not None:
-            on_warning(
-                f"{one.path} holds its centers in single precision so far from the origin "
-                f"that they are rounded to {spacing:.2g}, more than its splats measure: "
-                "export it with doubles or nearer to the origin"
-            )
     by_mesh = not (posing.source_landmarks or posing.target_landmarks)
     for one, following in itertools.pairwise(loaded):
         for warning in pose_warnings(one.avatar, following.avatar, by_mesh=by_mesh):

@@ -53,6 +53,8 @@ class LegRequest:
     target_points: Tensor
     """(m, 3) float64: where they go."""
     names: tuple[str, ...]
+    given: Tensor
+    """(m,) which of them somebody vouches for; the others were found."""
     frame: Similarity
     """Where the target stands, seen from the source: what the flow need not do."""
     domain: Tensor
@@ -73,7 +75,8 @@ class LegRequest:
         means = [one.gaussians.means[:: max(1, len(one.gaussians) // each)] for one in moved]
         places = Similarity.identity(), frame.inverse()
         domain = [place(m.double()) for place, m in zip(places, means, strict=False)]
-        return LegRequest(p, q, names, frame, torch.cat(domain), found)
+        given = pair[0].given(names) & pair[1].given(names)
+        return LegRequest(p, q, names, given, frame, torch.cat(domain), found)
 
     def made(self, leg: Leg) -> bool:
         """Whether ``leg`` goes between the same landmarks."""
@@ -197,7 +200,7 @@ class Request:
         asked = self._signature(number)
         return fit(
             flow,
-            Landmarks(leg.source_points, leg.names),
+            Landmarks(leg.source_points, leg.names, leg.given.double()),
             Landmarks(leg.target_points, leg.names).moved(leg.frame.inverse()),
             _config_of(self.fitting),
             domain=leg.domain.to(flow.center.device),

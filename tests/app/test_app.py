@@ -503,3 +503,34 @@ def test_up_takes_a_minus_as_it_stands_and_else_what_the_file_says(
     said, given, other = (Path(f"{name}.png").read_bytes() for name in ("said", "given", "other"))
     assert said == given != other
     assert "z (its file says so)" in cli("inspect", "z.ply")[1]
+
+
+def test_detail_that_single_precision_has_lost_is_told_wherever_a_splat_is_read(
+    pair: tuple[Path, Path], cli: Run
+) -> None:
+    splats = io.read("a.ply")
+    far = replace(splats, means=splats.means + torch.tensor([4.8e6, 5.4e7, 0.0]))
+    io.write("far.ply", far)
+    picture = ("--size", "32x32", "-o", "far.png")
+    for words in (("render", "far.ply", *picture), ("landmarks", "far.ply", "none.ply")):
+        err = cli(*words)[2]
+        assert err.splitlines()[0].startswith("warning: far.ply holds its centers in single")
+        assert "rounded to 4" in err
+    assert cli("render", "a.ply", *picture, "-w")[2] == ""
+
+
+def test_eval_scores_pairs_in_the_coordinates_of_the_files(
+    pair: tuple[Path, Path], cli: Run
+) -> None:
+    away = torch.tensor([480000.0, 5400000.0, 100.0], dtype=torch.float64)
+    rows = torch.rand(30, 3, dtype=torch.float64)
+    for name in "ab":
+        splats = io.read(f"{name}.ply")
+        io.write(f"{name}.ply", replace(splats, offset=tuple(away.tolist())))
+        marks = Landmarks.read(f"{name}.landmarks.json")
+        Landmarks(marks.points + away, marks.names).write(f"{name}.landmarks.json")
+    np.savez("near.npz", source=rows.numpy(), target=bend(rows).numpy())
+    np.savez("far.npz", source=(rows + away).numpy(), target=(bend(rows) + away).numpy())
+    assert cli("fit", *pair)[0] == 0
+    (leg,) = json.loads(cli("eval", "a-b.run", "--held-out", "far.npz", "--json")[1])["legs"]
+    assert leg["held_out"]["mean"] < 0.5 * leg["held_out"]["mean_before"] < 1

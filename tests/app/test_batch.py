@@ -185,3 +185,16 @@ def test_tables_that_are_wrong(
 def test_files_that_are_no_tables(splats: Path, batch: Batch) -> None:
     assert "No such file" in batch(splats / "no.csv")[2]
     assert "is no text" in batch(splats / "a.ply")[2]
+
+
+def test_a_pair_that_misses_its_landmarks_by_far_is_told_and_kept(
+    splats: Path, batch: Batch
+) -> None:
+    marks = Landmarks.read(splats / "b.landmarks.json")
+    shuffled = torch.randperm(12, generator=torch.Generator().manual_seed(3))
+    Landmarks(marks.points[shuffled], marks.names).write(splats / "b.landmarks.json")
+    code, _, err = batch(table(splats, "a.ply,b.ply", "a.ply,c.ply"), "-o", "runs")
+    assert code == console.MISSED
+    assert "a-b misses many of its landmarks by far" in err
+    assert [row["status"] for row in summary("runs/summary.csv")] == ["missed", "fitted"]
+    assert open_run("runs/a-b.run").legs[0].report["missed"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from splatmorph.app import COMMANDS as ALL
 from splatmorph.app import run
 from splatmorph.app.ranges import RANGES
 
@@ -50,3 +51,19 @@ def test_the_line_says_what_is_expected(capsys: pytest.CaptureFixture[str]) -> N
 def test_ranges_are_in_order() -> None:
     assert list(RANGES) == sorted(RANGES)
     assert all(low < high for low, high in RANGES.values())
+
+
+WITH_UP = ("render", "streamlines", "view")
+
+
+@pytest.mark.parametrize("command", WITH_UP)
+def test_a_minus_stands_as_it_is_typed(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    for axis in ("-y", "-z"):
+        assert run([command, "missing.run", "--up", axis]) == 1
+        assert "missing.run" in capsys.readouterr().err
+
+
+def test_no_other_command_takes_an_axis(capsys: pytest.CaptureFixture[str]) -> None:
+    for command in sorted(set(ALL) - set(WITH_UP)):
+        assert run([command, "--help"]) == 0
+        assert "--up " not in capsys.readouterr().out

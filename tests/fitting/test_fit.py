@@ -12,8 +12,11 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError, OptionError
 from splatmorph.fitting import FitConfig, FitProgress, FitState, fit
+from splatmorph.fitting.choice import MOST, Regression, choose, suspects
 from splatmorph.fitting.train import CHECK_EVERY
 from splatmorph.flows import KINDS, Flow, Ifmorph, Node, make_flow
+from splatmorph.geometry.quaternions import matrices_from_axis_angles
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import landmark_mse
 
@@ -301,3 +304,52 @@ def test_landmarks_that_change_places_are_told_at_either_end() -> None:
     assert {"mark 0", "mark 1"} & set(list(report.errors)[:2])
     assert "of 20 landmarks missed" in report.status
     assert "worst mark" in report.status
+
+
+def test_what_was_found_is_not_held_against_the_others() -> None:
+    source, target = pair(40)
+    points = target.points.clone()
+    points[7] += torch.tensor([0.8, -0.6, 0.4])
+    names = tuple(f"p{i}" for i in range(40))
+    sure = torch.full((40,), 0.9)
+    told = {}
+    added = sure.index_fill(0, torch.tensor([7]), 1.0)
+    for who, confidence in (("given", None), ("found", sure), ("added", added)):
+        sides = (Landmarks(one, names, confidence) for one in (source.points, points))
+        told[who] = " ".join(fit(make_flow("node", dim=3), *sides).warnings)
+    assert "p7 is not where the others say" in told["given"]
+    assert "p7" not in told["found"] + told["added"]
+
+
+def test_a_target_that_stands_apart_is_told_and_its_frame_mends_it(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    source, target = pair(40)
+    turn = matrices_from_axis_angles(torch.tensor([0.0, 2.6, 0.0], dtype=torch.float64))
+    target = target.moved(Similarity(turn, 3.0, torch.tensor([5.0, 0.0, 0.0])))
+    report = fit(make_flow("node", dim=3), source, target)
+    assert "stands apart as a whole (turned 149" in report.warnings[-1]
+    assert caplog.messages == [report.warnings[-1]]
+    frame = source.similarity_to(target)
+    caplog.clear()
+    report = fit(make_flow("node", dim=3), source, target.moved(frame.inverse()))
+    assert not caplog.messages
+    assert "apart" not in " ".join(report.warnings)
+
+
+def test_landmarks_beyond_a_thousand_are_chosen_from_a_thousand(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    seen = []
+    build = Regression.__init__
+    monkeypatch.setattr(
+        Regression,
+        "__init__",
+        lambda self, x, y, shear: seen.append(len(x)) or build(self, x, y, shear),
+    )
+    p = cloud(3 * MOST, 3)
+    noise = 0.03 * cloud(3 * MOST, 3, seed=1)
+    whole, part = choose(p, moved(p) + noise), choose(p[::3], (moved(p) + noise)[::3])
+    assert max(seen) == MOST
+    assert whole.smoothing == pytest.approx(part.smoothing, rel=3.1)
+    assert suspects(p, moved(p)) == []

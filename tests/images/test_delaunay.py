@@ -7,6 +7,7 @@ import torch
 from scenes import SQUARE, painted, some_landmarks
 
 from splatmorph.errors import LandmarkError
+from splatmorph.geometry.similarity import Similarity
 from splatmorph.images import ImageMorph
 from splatmorph.images.delaunay import DelaunayWarp
 from splatmorph.landmarks import Landmarks
@@ -17,6 +18,15 @@ def test_landmarks_are_carried_to_landmarks() -> None:
     warp = DelaunayWarp(p, q, SQUARE)
     for t in (0.0, 0.4, 1.0):
         assert torch.allclose(warp.carry(p.points, t), (1 - t) * p.points + t * q.points)
+
+
+def test_what_stands_apart_is_played_as_a_whole() -> None:
+    p, _ = some_landmarks()
+    turn = torch.tensor([[0.0, -1.0], [1.0, 0.0]], dtype=torch.float64)
+    frame = Similarity(turn, 2.0, torch.tensor([0.3, 0.1]))
+    warp = DelaunayWarp(p, p.moved(frame), SQUARE, frame)
+    for t in (0.0, 0.5, 1.0):
+        assert torch.allclose(warp.carry(p.points, t), frame.power(t)(p.points))
 
 
 def test_maps_undo_what_carry_does() -> None:

@@ -108,3 +108,15 @@ def test_bad_options_are_one_line(
     assert complaint in error
     assert error.count("\n") == 1
     assert not Path("x.png").exists()
+
+
+def test_landmarks_missed_by_far_exit_with_3(
+    pair: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stored = json.loads(Path("b.landmarks.json").read_text())
+    stored["points"] = stored["points"][::-1]
+    Path("b.landmarks.json").write_text(json.dumps(stored))
+    assert run(["image", "a.png", "b.png", "-o", "half.png"]) == 3
+    said = capsys.readouterr()
+    assert said.err.startswith("error: not met: ")
+    assert Path("half.png").is_file()
