@@ -9,10 +9,11 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.options import Json
-from splatmorph.errors import SplatmorphError
+from splatmorph.errors import MissingExtraError, ReadError, SplatmorphError
 
 if TYPE_CHECKING:
     from splatmorph.gaussians import Gaussians
+    from splatmorph.registration.face_network import FaceNetwork
     from splatmorph.runs import Input
 
 
@@ -81,9 +82,19 @@ def describe(file: Path) -> dict[str, Any]:
 def _up(gaussians: Gaussians) -> str:
     from splatmorph.runs.upright import standing_way
 
-    axis, why = standing_way(gaussians)
-    hint = ": --up -y is likely right" if axis == "-y" and gaussians.up is None else ""
+    axis, why = standing_way(gaussians, _faces() if gaussians.up is None else None)
+    hint = f": --up {axis} is likely right" if axis != "y" and gaussians.up is None else ""
     return f"{axis} ({why}{hint})"
+
+
+def _faces() -> FaceNetwork | None:
+    """What sees faces, where it is at hand."""
+    from splatmorph.registration.face_network import find_model, load_network
+
+    try:
+        return load_network(find_model())
+    except (ReadError, MissingExtraError):
+        return None
 
 
 def _far(gaussians: Gaussians) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from renderer.cameras import UPRIGHT
 from splatmorph.gaussians import UPS, Gaussians
 from splatmorph.registration.face_network import (
     IRIS,
@@ -40,6 +41,8 @@ LOOKED_AT, JUDGED = 8, 3
 """Candidates that get landmarks, and that are looked at from the front."""
 
 SIDE, CLOSE_FOV = 512, 20.0
+CLEAR = 0.65
+"""The score from which a face tells what is up: upright heads have 0.75 and more."""
 LEANS = math.radians(45)
 """A face that leans less stands upright."""
 FRONT_ROUNDS, FRONT_DETECTED = 3, 0.3
@@ -153,15 +156,15 @@ def find_face(gaussians: Gaussians, network: FaceNetwork) -> FoundFace | None:
 
 
 def upright_face(gaussians: Gaussians, network: FaceNetwork) -> tuple[str, float] | None:
-    """Which axis, of ``UPS``, points up where a face stands upright, and the detector's score.
+    """Which axis points up where a face stands upright, and the detector's score.
 
     Quick: only faces that look along an axis are seen. None where there is none.
     """
     means, _, scales, opacities, _ = renderer_arrays(gaussians)
     bounds = bounds_of(means, opacities, scales)
     axes = {name: np.array(axis, float) for name, axis in UPS.items()}
-    best: tuple[str, float] | None = None
-    for up, direction in ((u, d) for u in axes for d in axes if abs(axes[u] @ axes[d]) < 0.5):
+    seen: list[tuple[float, float, str]] = []
+    for up, direction in ((u, d) for u in UPRIGHT for d in axes if not axes[u] @ axes[d]):
         camera = looking(
             bounds.center,
             axes[direction][None],
@@ -171,9 +174,9 @@ def upright_face(gaussians: Gaussians, network: FaceNetwork) -> tuple[str, float
             SEARCH_FOV,
         )
         for box in network.detect(_picture(gaussians, camera)[0], DETECTED)[:1]:
-            if abs(box.angle) < LEANS and (best is None or box.score > best[1]):
-                best = up, box.score
-    return best
+            seen.append((box.score, box.angle, up))
+    score, angle, up = max(seen, default=(0.0, 0.0, ""))
+    return (up, score) if score > CLEAR and abs(angle) < LEANS else None
 
 
 def _search(gaussians: Gaussians, network: FaceNetwork, tiles: int) -> list[Array]:

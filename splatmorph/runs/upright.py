@@ -5,6 +5,8 @@ from __future__ import annotations
 from torch import Tensor
 
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
+from splatmorph.registration.face_network import FaceNetwork
+from splatmorph.registration.faces import upright_face
 
 ENDS = 0.1
 """The part of the height at each end whose widths are compared."""
@@ -13,14 +15,17 @@ WIDER = 2.0
 stand upright none at their crown."""
 
 
-def standing_way(gaussians: Gaussians) -> tuple[str, str]:
+def standing_way(gaussians: Gaussians, network: FaceNetwork | None = None) -> tuple[str, str]:
     """The axis that is likely up, and why, in a few words.
 
-    Where the file doesn't say, it is y; but -y where the object would stand on its head, for
-    things stand on their wider end. Where the mass lies tells nothing: crowns have more splats.
+    Where the file doesn't say, it is the axis along which a face stands, if the ``network`` sees
+    one; else y, but -y where the object would stand on its head, for things stand on their wider
+    end. Where the mass lies tells nothing: crowns have more splats.
     """
     if gaussians.up is not None:
         return gaussians.up, "its file says so"
+    if network is not None and (face := upright_face(gaussians, network)) is not None:
+        return face[0], "nothing says so, but its face stands upright so"
     low, high = _widths(gaussians)
     if high > WIDER * low:
         return "-y", "nothing says so, but it is far wider at +y, and things stand on that end"
