@@ -12,7 +12,7 @@ from torch import Tensor
 
 from splatmorph.errors import LandmarkError, NonFiniteError, OptionError
 from splatmorph.fitting import FitConfig, FitProgress, FitState, fit
-from splatmorph.fitting.choice import MOST, Regression, choose, suspects
+from splatmorph.fitting.choice import MOST, Regression, choose
 from splatmorph.fitting.train import CHECK_EVERY
 from splatmorph.flows import KINDS, Flow, Ifmorph, Node, make_flow
 from splatmorph.geometry.quaternions import matrices_from_axis_angles
@@ -352,4 +352,3 @@ def test_landmarks_beyond_a_thousand_are_chosen_from_a_thousand(
     whole, part = choose(p, moved(p) + noise), choose(p[::3], (moved(p) + noise)[::3])
     assert max(seen) == MOST
     assert whole.smoothing == pytest.approx(part.smoothing, rel=3.1)
-    assert suspects(p, moved(p)) == []
