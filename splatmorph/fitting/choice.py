@@ -33,7 +33,10 @@ MOST = 1000
 STIFF = 0.2
 """The smoothing under which suspects are looked for, with the second of ``SHEARS``."""
 STANDS_OUT = 7.0
-"""Times the median surprise that make a suspect."""
+"""Times the median surprise that make a suspect …"""
+VISIBLE = 0.02
+"""… where it is missed by so much, frame units (1 % of the box), leaving it out: of a dense and
+exact set some point always stands out by less."""
 FEWEST_KEPT = 8
 SUSPECT_SHARE = 0.25
 
@@ -84,7 +87,7 @@ def suspects(p: Tensor, q: Tensor) -> list[int]:
 
     A landmark's surprise is what it is missed by, leaving it out, against how well the others
     determine that place. The worst is left out before the next is looked for, until none is
-    ``STANDS_OUT`` times the median; a quarter at most, and eight are kept.
+    ``STANDS_OUT`` times the median, or missed visibly; a quarter at most, and eight are kept.
     """
     kept = torch.linspace(0, len(p) - 1, min(len(p), MOST), device=p.device).long()
     x, y = (p[kept] + q[kept]) / 2, (q - p)[kept]
@@ -96,9 +99,11 @@ def suspects(p: Tensor, q: Tensor) -> list[int]:
     while len(kept) > least:
         around = x - x.mean(0)
         weights = inverse @ (y - around @ similar_slope(around, y))
-        surprise = weights.norm(dim=1) / inverse.diagonal().clamp_min(1e-300).sqrt()
+        sure = inverse.diagonal().clamp_min(1e-300).sqrt()
+        surprise = weights.norm(dim=1) / sure
         worst = int(surprise.argmax())
-        if float(surprise[worst]) < STANDS_OUT * float(surprise.median().clamp_min(1e-12)):
+        stands_out = float(surprise[worst]) >= STANDS_OUT * float(surprise.median())
+        if not stands_out or float(surprise[worst] / sure[worst]) < VISIBLE:
             break
         found.append(int(kept[worst]))
         # The inverse of a system without a row and its column, by that of the whole.
