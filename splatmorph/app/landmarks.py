@@ -26,6 +26,7 @@ def landmarks(
     They are written beside the splats, where `fit` finds them, or into the folder given by -o.
     Look at them, delete what is wrong, add what is missing: each has a confidence.
     """
+    from splatmorph.io.atomic import make_folder
     from splatmorph.registration import find_landmarks
     from splatmorph.registration.masks import without_masked
     from splatmorph.runs.inputs import as_in_file, load_splat
@@ -33,6 +34,8 @@ def landmarks(
     loaded = load_splat(source), load_splat(target)
     a, b = (without_masked(one.gaussians, one.path) for one in loaded)
     paths = [_path_of(one.path, one.name, out) for one in loaded]
+    if out is not None:
+        make_folder(out)
     for path in paths:
         console.claim(path, overwrite)
     with console.progress("looking for landmarks") as update:
