@@ -158,7 +158,7 @@ def fit_row(
     fitted = asked.fit(
         out,
         device=device,
-        resume=has_state(out) and not overwrite,
+        resume=not overwrite,  # a kill may leave no more than a part of a run
         overwrite=overwrite,
         on_step=on_step,
         on_warning=on_warning,

@@ -141,6 +141,17 @@ def test_an_interrupted_batch_goes_on_to_the_same_bits(
         assert torch.equal(ends[1][name], value), name
 
 
+def test_a_batch_goes_on_with_what_a_kill_left_of_a_run(splats: Path, batch: Batch) -> None:
+    pairs = table(splats, "a.ply,b.ply")
+    assert batch(pairs)[0] in (0, 3)
+    (run,) = Path().rglob("morph.json")
+    whole = run.with_name("flow.safetensors").read_bytes()
+    run.unlink()
+    assert batch(pairs)[0] in (0, 3)
+    assert run.is_file()
+    assert run.with_name("flow.safetensors").read_bytes() == whole
+
+
 def test_names_and_landmarks_of_the_table(splats: Path, batch: Batch) -> None:
     (splats / "b.landmarks.json").rename(splats / "marks.json")
     pairs = table(
