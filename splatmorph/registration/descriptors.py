@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
-from splatmorph.registration.views import Array, Cameras, around, photograph
+from splatmorph.registration.views import MATCHED, Array, Cameras, around, photograph
 
 VIEWS, SIDE = 14, 192
 ROOM = 1.9
@@ -64,7 +64,7 @@ def cameras_of(center: Array, radius: float = 1.0) -> Cameras:
 
 def describe(gaussians: Gaussians, points: Array, normals: Array, cameras: Cameras) -> list[Seen]:
     """How oriented points (n, 3) on a splat look from each camera."""
-    pictures = photograph(gaussians, cameras)
+    pictures = photograph(gaussians, cameras, depth=MATCHED)
     light = torch.from_numpy(pictures.rgb.mean(-1) + (1 - pictures.alpha) * 0.5)
     depth = np.where(pictures.alpha > SOLID, pictures.depth, np.nan)
     visible = [_visible(cameras, i, points, normals, depth[i]) for i in range(len(cameras))]

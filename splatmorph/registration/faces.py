@@ -268,7 +268,7 @@ def _picture(
     gaussians: Gaussians, camera: Cameras, near: float | None = None
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
     """What one camera sees on white, and the depth of the surface."""
-    shown = photograph(gaussians, camera, background=WHITE, near=near, depth="surface")
+    shown = photograph(gaussians, camera, background=WHITE, near=near)
     rgb = (np.clip(shown.rgb[0], 0, 1) * 255 + 0.5).astype(np.uint8)
     return rgb, np.where(shown.alpha[0] > 0.5, shown.depth[0], np.nan).astype(np.float32)
 

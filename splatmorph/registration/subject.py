@@ -12,6 +12,7 @@ from splatmorph.geometry.similarity import Similarity
 from splatmorph.geometry.spreading import farthest
 from splatmorph.registration import descriptors
 from splatmorph.registration.surfaces import Array, Surface, see_surface
+from splatmorph.registration.views import MATCHED
 
 SAMPLES = 2600
 RING = (0.06, 0.3)
@@ -50,7 +51,7 @@ def prepare(gaussians: Gaussians, *, samples: int = SAMPLES, seed: int = 0) -> S
     Raises:
         LandmarkError: next to no surface is to be seen.
     """
-    dense, center, radius = see_surface(gaussians)
+    dense, center, radius = see_surface(gaussians, MATCHED)
     middle = torch.from_numpy(center)
     to_unit = Similarity(torch.eye(3, dtype=torch.float64), 1 / radius, -middle / radius)
     gaussians, dense = gaussians.moved(to_unit), turned(dense, to_unit)

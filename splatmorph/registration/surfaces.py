@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from renderer.rasterize import Depth
 from splatmorph.errors import LandmarkError
 from splatmorph.gaussians import Gaussians
 from splatmorph.registration.views import Array, Cameras, Pictures, around, photograph
@@ -53,10 +54,11 @@ class Surface:
         return Surface(self.points[index], self.normals[index], self.features[index])
 
 
-def see_surface(gaussians: Gaussians) -> tuple[Surface, Array, float]:
+def see_surface(gaussians: Gaussians, depth: Depth = "surface") -> tuple[Surface, Array, float]:
     """Some 8000 points of the surface, and the object's center (3,) and root mean square radius.
 
-    Everything in the units of the splat; the normals' sign is that of the side seen.
+    Everything in the units of the splat; the normals' sign is that of the side seen; ``depth`` as
+    the renderer's.
 
     Raises:
         LandmarkError: next to no surface is to be seen.
@@ -64,7 +66,9 @@ def see_surface(gaussians: Gaussians) -> tuple[Surface, Array, float]:
     means, _, scales, opacities, _ = renderer_arrays(gaussians)
     bounds = bounds_of(means, opacities, scales)
     cameras = around(bounds.center, 1.02 * bounds.radius, VIEWS, SIDE)
-    points, normals, colours, weights = _lifted(cameras, photograph(gaussians, cameras))
+    points, normals, colours, weights = _lifted(
+        cameras, photograph(gaussians, cameras, depth=depth)
+    )
     if len(points) < FEWEST:
         raise LandmarkError(
             f"the splat shows {len(points)} pixels of solid surface in {VIEWS} pictures of it, "

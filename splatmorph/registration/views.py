@@ -16,6 +16,9 @@ from splatmorph.rendering import Colour, rasterize, renderer_arrays
 Array = NDArray[np.float64]
 Picture = NDArray[np.float32]
 
+MATCHED: Depth = "expected"
+"""The depth by which two splats are matched, though it lies deeper than the surface: with that of
+the surface james and status, faces unseen, are matched 12.4 mm off instead of 7.1."""
 FOV = 24.0
 """Degrees: long enough a lens that a nose hides little."""
 NEAR = 1e-3
@@ -121,13 +124,9 @@ def photograph(
     *,
     background: Colour | None = None,
     near: float | None = None,
-    depth: Depth = "expected",
+    depth: Depth = "surface",
 ) -> Pictures:
-    """Render a splat from every camera; ``near`` in world units, ``depth`` as the renderer's.
-
-    What is matched is better seen by the expected depth, though it lies deeper: through hair and
-    haze it is smooth, where the surface's steps drown the relief.
-    """
+    """Render a splat from every camera; ``near`` in world units, ``depth`` as the renderer's."""
     K = np.repeat(cameras.K[None], len(cameras), 0)
     arrays = renderer_arrays(gaussians)
     side = cameras.side
