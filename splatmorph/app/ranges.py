@@ -13,7 +13,7 @@ LARGEST = 1e9
 RANGES: Mapping[str, tuple[float, float]] = {
     "anchors": (0, 1000),
     "azimuth": (-36_000, 36_000),
-    "count": (4, 1_000_000),
+    "count": (8, 1_000_000),
     "elevation": (-89, 89),
     "fps": (0.1, 1000),
     "frame": (0, 10_000_000),

