@@ -53,13 +53,14 @@ def test_ranges_are_in_order() -> None:
     assert all(low < high for low, high in RANGES.values())
 
 
-WITH_UP = ("render", "streamlines", "view")
+WITH_UP = ("pick", "render", "streamlines", "view")
 
 
 @pytest.mark.parametrize("command", WITH_UP)
 def test_a_minus_stands_as_it_is_typed(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     for axis in ("-y", "-z"):
-        assert run([command, "missing.run", "--up", axis]) == 1
+        inputs = ["missing.run", "b.ply"][: 2 if command == "pick" else 1]
+        assert run([command, *inputs, "--up", axis]) == 1
         assert "missing.run" in capsys.readouterr().err
 
 
