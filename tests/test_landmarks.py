@@ -56,7 +56,7 @@ def test_confidence_comes_back(tmp_path: Path, names: tuple[str, ...] | None) ->
 
 
 @pytest.mark.parametrize(
-    "confidence", ['{"a": 0.5}', "[0.5]", '{"a": 2, "b": 0}', "[0.1, NaN]", '{"a": {}}', '"x"']
+    "confidence", ["[0.5]", '{"a": 2, "b": 0}', "[0.1, NaN]", '{"a": {}}', '"x"']
 )
 def test_damaged_confidences_are_refused(tmp_path: Path, confidence: str) -> None:
     path = tmp_path / "x.json"
@@ -64,6 +64,14 @@ def test_damaged_confidences_are_refused(tmp_path: Path, confidence: str) -> Non
     path.write_text(f'{{"points": {points}, "confidence": {confidence}}}')
     with pytest.raises((ReadError, LandmarkError)):
         Landmarks.read(path)
+
+
+def test_what_a_person_adds_to_what_was_found_is_sure(tmp_path: Path) -> None:
+    points = '{"a": [0, 0, 0], "b": [1, 0, 0]}'
+    (tmp_path / "x.json").write_text(f'{{"points": {points}, "confidence": {{"a": 0.5}}}}')
+    found = Landmarks.read(tmp_path / "x.json").confidence
+    assert found is not None
+    assert found.tolist() == [0.5, 1.0]
 
 
 # Formats ------------------------------------------------------------------------------------
