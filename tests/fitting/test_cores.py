@@ -62,7 +62,7 @@ def test_the_bits_are_the_same_on_one_core_and_on_many() -> None:
     *one, threads_of_one = fits(OMP_NUM_THREADS="1")
     *two, threads_of_two = fits(OMP_NUM_THREADS="2")
     assert (threads_of_one, threads_of_two) == ("1", "2")
-    ours = [kind for kind in KINDS.values() if kind.__module__.startswith("splatmorph.")]
+    ours = [kind for kind in KINDS.values() if kind.__module__.startswith("splatmorph.flows.")]
     assert len(one) == 2 * (len(ours) - 1 + len(FIELDS)) + 1
     assert one == two
     if hasattr(os, "sched_setaffinity"):
