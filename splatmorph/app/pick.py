@@ -34,7 +34,7 @@ def pick(
     ] = None,
     up: UpOption = None,
     max_splats: Annotated[int, Parameter(help="Most splats of each that are shown.")] = MAX_SPLATS,
-    port: Annotated[int, Parameter(help="The first port it tries; 0 for any.")] = 8123,
+    port: Annotated[int, Parameter(help="The first port it tries.")] = 8123,
     browser: Annotated[bool, Parameter(help="Open the browser on the picker.")] = True,
 ) -> None:
     """Click the same features on two splats in the browser, and see the morph at once.
