@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import http
+import importlib
 import ipaddress
 import socket
 import threading
@@ -27,8 +28,8 @@ def own_page_only(host: str) -> Iterator[threading.Event]:
     viser has no setting for it, so its library is wrapped while it starts. -> set once a server
     is guarded; where it isn't, whatever was started goes unguarded.
     """
-    from websockets.asyncio import server
-
+    # By name, since it is there only where viser is.
+    server: Any = importlib.import_module("websockets.asyncio.server")
     serve, guards = server.serve, threading.Event()
 
     def guarded(*args: Any, process_request: Check | None = None, **options: Any) -> Any:
@@ -43,11 +44,11 @@ def own_page_only(host: str) -> Iterator[threading.Event]:
 
         return serve(*args, process_request=check, **options)
 
-    server.serve = guarded  # type: ignore[assignment, misc]
+    server.serve = guarded
     try:
         yield guards
     finally:
-        server.serve = serve  # type: ignore[misc]
+        server.serve = serve
 
 
 def refusal(listens: str, hosts: list[str], origins: list[str]) -> str | None:
