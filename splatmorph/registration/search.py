@@ -25,6 +25,7 @@ from splatmorph.registration.matches import FREE, FROM_AFAR, HELD, Matched, Sche
 from splatmorph.registration.pose import find_poses
 from splatmorph.registration.regression import Pairs, flow
 from splatmorph.registration.subject import Subject, prepare
+from splatmorph.steady import one_thread
 
 METHODS = ("auto", "face", "surface")
 COUNT = 400
@@ -80,6 +81,7 @@ def correspond(
     return found.source, found.target
 
 
+@one_thread()
 def find_landmarks(
     source: Gaussians,
     target: Gaussians,
@@ -133,6 +135,7 @@ def find_landmarks(
     return search.by_faces(faces, warnings)
 
 
+@one_thread()
 def refine_landmarks(
     source: Gaussians,
     target: Gaussians,
