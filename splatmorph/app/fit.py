@@ -12,7 +12,16 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.landmarks import how_to_mend
-from splatmorph.app.options import Auto, Device, Out, Overwrite, Searching, Splat, choose_device
+from splatmorph.app.options import (
+    DEFAULT_SEARCH,
+    Auto,
+    Device,
+    Out,
+    Overwrite,
+    Searching,
+    Splat,
+    choose_device,
+)
 from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding, Fitting, Posing
 
 if TYPE_CHECKING:
@@ -23,7 +32,6 @@ if TYPE_CHECKING:
 
 FittingOptions = Annotated[Fitting, Parameter(name="*")]
 PosingOptions = Annotated[Posing, Parameter(name="*")]
-DEFAULT_SEARCH = Searching()
 
 
 def fit(

@@ -6,9 +6,7 @@ import shlex
 from pathlib import Path
 
 from splatmorph.app import console
-from splatmorph.app.options import Out, Overwrite, Searching, Seed, Splat
-
-DEFAULT_SEARCH = Searching()
+from splatmorph.app.options import DEFAULT_SEARCH, Out, Overwrite, Searching, Seed, Splat
 
 
 def landmarks(

@@ -175,6 +175,7 @@ class Searching:
     target_crop: TargetCrop = None
 
 
+DEFAULT_SEARCH = Searching()
 DEFAULT_SIZE = Size(512, 512)
 
 

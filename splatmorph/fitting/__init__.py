@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import compress
 
 import torch
 from torch import Tensor
@@ -118,7 +119,7 @@ def fit(
     report = _report(flow, p, q, names, domain, chosen, history, seconds, finished)
     given = source.given(names) & target.given(names)
     trusted = [side[given.to(device)] for side in ends]
-    doubts = contradictions(trusted[0], trusted[1], _those(names, given))
+    doubts = contradictions(trusted[0], trusted[1], tuple(compress(names, given.tolist())))
     doubts += standing_apart(report, p, q)
     asked = config.smoothing is not None or flow.kind == Linear.kind
     return replace(
@@ -140,10 +141,6 @@ def _chosen(flow: Flow, p: Tensor, q: Tensor, config: FitConfig) -> tuple[FitCon
     shear = found.shear if config.shear is None else config.shear
     chosen = replace(config, smoothing=found.smoothing, shear=shear)
     return chosen, found.predicted * float(flow.scale)
-
-
-def _those(names: tuple[str, ...], which: Tensor) -> tuple[str, ...]:
-    return tuple(name for name, chosen in zip(names, which.tolist(), strict=True) if chosen)
 
 
 def _lay_frame(flow: Flow, p: Tensor, q: Tensor) -> None:

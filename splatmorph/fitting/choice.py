@@ -85,31 +85,44 @@ def is_thin(x: Tensor) -> bool:
 def suspects(p: Tensor, q: Tensor) -> list[int]:
     """Which of the matched landmarks p, q (k, dim) the others contradict, the worst first.
 
-    A landmark's surprise is what it is missed by, leaving it out, against how well the others
-    determine that place. The worst is left out before the next is looked for, until none is
-    ``STANDS_OUT`` times the median, or missed visibly; a quarter at most, and eight are kept.
+    As ``standing_out`` says, ``STANDS_OUT`` times the median and missed visibly; a quarter at most,
+    and eight are kept.
     """
     kept = torch.linspace(0, len(p) - 1, min(len(p), MOST), device=p.device).long()
     x, y = (p[kept] + q[kept]) / 2, (q - p)[kept]
-    least = max(FEWEST_KEPT, len(kept) - int(SUSPECT_SHARE * len(kept)))
+    most = min(len(kept) - FEWEST_KEPT, int(SUSPECT_SHARE * len(kept)))
+    found = standing_out(x, y, most, smoothing=STIFF, times=STANDS_OUT, missed=VISIBLE)
+    return kept[found].tolist()
+
+
+def standing_out(
+    x: Tensor, y: Tensor, most: int, *, smoothing: float, times: float, missed: float
+) -> list[int]:
+    """Which of the pairs with midpoints x and displacements y (k, dim) stand out, the worst first.
+
+    A pair's surprise is what it is missed by, leaving it out, against how well the others
+    determine that place. The worst is left out before the next is looked for, since it spoils its
+    neighbours', until there are ``most``, or none is ``times`` the median and ``missed`` so far.
+    """
     found: list[int] = []
-    if len(kept) <= least:
+    if most <= 0:
         return found
-    inverse = Regression(x, y, SHEARS[1]).inverse(STIFF)
-    while len(kept) > least:
+    kept = torch.arange(len(x), device=x.device)
+    inverse = Regression(x, y, SHEARS[1]).inverse(smoothing)
+    while len(found) < most:
         around = x - x.mean(0)
         weights = inverse @ (y - around @ similar_slope(around, y))
         sure = inverse.diagonal().clamp_min(1e-300).sqrt()
         surprise = weights.norm(dim=1) / sure
         worst = int(surprise.argmax())
-        stands_out = float(surprise[worst]) >= STANDS_OUT * float(surprise.median())
-        if not stands_out or float(surprise[worst] / sure[worst]) < VISIBLE:
+        stands_out = float(surprise[worst]) >= times * float(surprise.median())
+        if not stands_out or float(surprise[worst] / sure[worst]) < missed:
             break
         found.append(int(kept[worst]))
         # The inverse of a system without a row and its column, by that of the whole.
         column = inverse[:, worst]
         inverse = inverse - torch.outer(column, column) / column[worst]
-        others = torch.arange(len(kept), device=p.device) != worst
+        others = torch.arange(len(kept), device=x.device) != worst
         inverse, kept, x, y = inverse[others][:, others], kept[others], x[others], y[others]
     return found
 

@@ -31,6 +31,10 @@ class Canvas:
         """Half the width and half the height in world units; the longer is 1."""
         return self.width * self.pixel / 2, self.height * self.pixel / 2
 
+    def scaled(self, scale: float) -> Canvas:
+        """A canvas of so many times the width and the height, a pixel at least."""
+        return Canvas(*(max(1, round(side * scale)) for side in (self.width, self.height)))
+
     def to_world(self, pixels: Tensor) -> Tensor:
         """Pixel coordinates (..., 2) in the plane."""
         return (pixels - self._middle(pixels)) * self._step(pixels)

@@ -51,7 +51,7 @@ def refined(
         MissingExtraError: OpenCV is not installed.
     """
     scale = LONGEST / max(source.canvas.width, source.canvas.height)
-    canvas = Canvas(*(max(1, round(side * scale)) for side in _sides(source.canvas)))
+    canvas = source.canvas.scaled(scale)
     ((where_source, where_target),) = warp.maps(canvas, [0.5])
     first, second = (
         _even(picture, where, canvas)
@@ -60,8 +60,8 @@ def refined(
     forth, sure = _motion(first, second)
     p, q, names = landmarks[0].match(landmarks[1])
     held = canvas.to_pixels(warp.carry(p, 0.5)).numpy()
-    x, y = (a.ravel() for a in np.mgrid[STEP // 2 : canvas.width : STEP,
-                                        STEP // 2 : canvas.height : STEP])  # fmt: skip
+    across, down = (slice(STEP // 2, side, STEP) for side in (canvas.width, canvas.height))
+    x, y = (a.ravel() for a in np.mgrid[across, down])
     at = np.stack([x, y], 1) + 0.5
     kept = (sure[y, x] > SURE) & (cKDTree(held).query(at)[0] > ROOM)
     middle, moved = (torch.from_numpy(a[kept]) for a in (at, forth[y, x]))
@@ -70,10 +70,6 @@ def refined(
     names += tuple(f"motion_{i}" for i in range(len(middle)))
     ends = (torch.cat([p, more_p.to(p)]), torch.cat([q, more_q.to(q)]))
     return Landmarks(ends[0], names), Landmarks(ends[1], names)
-
-
-def _sides(canvas: Canvas) -> tuple[int, int]:
-    return canvas.width, canvas.height
 
 
 def _even(picture: Picture, where: PixelMap, canvas: Canvas) -> Picture:

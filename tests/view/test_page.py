@@ -6,7 +6,6 @@ import base64
 import json
 import re
 import zlib
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -220,15 +219,6 @@ class TestFile:
         with pytest.raises(OptionError, match="max_splats"):
             write_page(tmp_path / "a.html", scene(50), max_splats=1)
         assert not list(tmp_path.iterdir())
-
-
-@pytest.fixture(scope="module")
-def browsers() -> Iterator[list[Browser]]:
-    """The one browser of this module, started by the first test that gets that far."""
-    started: list[Browser] = []
-    yield started
-    for browser in started:
-        browser.close()
 
 
 @pytest.fixture

@@ -1,12 +1,9 @@
-"""The picker without its page: clicks, pairs, flows, files, and who may ask."""
+"""The picker without its page: clicks, pairs, flows and files."""
 
 from __future__ import annotations
 
-import http.client
 import json
 import shutil
-import threading
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +12,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+from pick_cases import ASSETS, told
 from PIL import Image
 
 from renderer import Camera, orbit
@@ -22,12 +20,11 @@ from splatmorph.errors import OptionError, ReadError, SplatmorphError
 from splatmorph.io import read, write
 from splatmorph.landmarks import Landmarks
 from splatmorph.registration.masks import Loop, Mask, without_masked
-from splatmorph.view.pick import Desk, Server, hints, open_desk, start
+from splatmorph.view.pick import Desk, hints, open_desk, start
 from splatmorph.view.pick.book import Book, Place, Ray, Row
 from splatmorph.view.pick.guide import Guide
 from splatmorph.view.pick.sights import crossing, ray_of, stand_apart
 
-ASSETS = Path(__file__).parents[2] / "assets"
 SIZE = 480
 MARKS = ["nose_tip", "glabella", "forehead", "cheek_left", "cheek_right", "mouth_corner_left"]
 """Marks that the skin shows from the front on both of the pair, not under hair or lashes."""
@@ -53,18 +50,6 @@ def desk(pair: list[Path]) -> Desk:
 
 def camera_of(desk: Desk, side: int, azimuth: float = 0.0) -> Camera:
     return orbit(desk.sides[side].bounds, [azimuth], width=SIZE, height=SIZE)[0]
-
-
-def told(camera: Camera) -> dict:
-    """A camera as the page sends it."""
-    return {
-        "rows": camera.viewmat[:3, :3].tolist(),
-        "shift": camera.viewmat[:3, 3].tolist(),
-        "focal": camera.K[0, 0],
-        "middle": camera.K[:2, 2].tolist(),
-        "width": camera.width,
-        "height": camera.height,
-    }
 
 
 def pixel(camera: Camera, point: torch.Tensor) -> tuple[float, float]:
@@ -450,95 +435,3 @@ class TestMasks:
             path.write_text(text)
             with pytest.raises((ReadError, OptionError)):
                 Mask.read(path)
-
-
-@pytest.fixture(scope="module")
-def server(tmp_path_factory) -> Iterator[Server]:
-    folder = tmp_path_factory.mktemp("served")
-    paths = [shutil.copy(ASSETS / f"{name}.ply", folder) for name in ("ines", "otto")]
-    made = Server(open_desk(paths), "splatmorph fit a b")
-    thread = threading.Thread(target=made.serve_forever, daemon=True)
-    thread.start()
-    yield made
-    made.shutdown()
-    made.server_close()
-
-
-class TestServer:
-    def ask(self, server: Server, method: str, path: str, body: bytes | None = None, **headers):
-        line = http.client.HTTPConnection("127.0.0.1", server.server_port, timeout=30)
-        try:
-            names = {key.replace("_", "-"): value for key, value in headers.items()}
-            line.request(method, path, body, names)
-            answer = line.getresponse()
-            return answer.status, answer.read()
-        finally:
-            line.close()
-
-    def test_it_listens_to_this_machine_alone(self, server):
-        assert server.server_address[0] == "127.0.0.1"
-        assert server.token in server.address
-
-    @pytest.mark.parametrize("path", ["/", "/state", "/side?s=0", "/morph?leg=0", "/view?s=0"])
-    def test_without_the_token_nothing_is_said(self, server, path):
-        for key in ("", "k=wrong", "k=", "k=%00"):
-            status, body = self.ask(server, "GET", f"{path}{'&' if '?' in path else '?'}{key}")
-            assert status == 403
-            assert b"token" in body
-        good = {"Content_Type": "application/json"}
-        assert self.ask(server, "POST", "/save?k=wrong", b"{}", **good)[0] == 403
-
-    def test_strangers_hosts_and_origins_are_refused(self, server):
-        key = f"k={server.token}"
-        assert self.ask(server, "GET", f"/state?{key}")[0] == 200
-        assert self.ask(server, "GET", f"/state?{key}", Host="evil.example")[0] == 403
-        assert self.ask(server, "GET", f"/state?{key}", Origin="http://evil.example")[0] == 403
-        assert self.ask(server, "GET", f"/state?{key}", Origin="null")[0] == 403
-        own = f"http://127.0.0.1:{server.server_port}"
-        assert self.ask(server, "GET", f"/state?{key}", Origin=own)[0] == 200
-
-    def test_only_json_by_post_changes_anything(self, server):
-        key, good = f"k={server.token}", {"Content_Type": "application/json"}
-        assert self.ask(server, "GET", f"/save?{key}")[0] == 404
-        assert self.ask(server, "POST", f"/undo?{key}", b"{}")[0] == 415
-        assert self.ask(server, "POST", f"/undo?{key}", b"{}", **good)[0] == 200
-        assert self.ask(server, "POST", f"/nothing?{key}", b"{}", **good)[0] == 404
-        assert self.ask(server, "PUT", f"/undo?{key}", b"{}", **good)[0] == 501
-
-    @pytest.mark.parametrize(
-        "body",
-        [b"", b"{", b"[]", b"null", b'{"leg": 9}', b'{"leg": "x"}', b"\xff\xfe", b"[" * 9000],
-    )
-    def test_nonsense_is_one_line_and_no_end(self, server, body):
-        key, good = f"k={server.token}", {"Content_Type": "application/json"}
-        for action in ("pick", "accept", "mask", "suggest", "rename"):
-            status, said = self.ask(server, "POST", f"/{action}?{key}", body, **good)
-            assert 400 <= status < 500
-            assert b"error" in said
-        assert self.ask(server, "GET", f"/state?{key}")[0] == 200
-
-    def test_long_bodies_are_not_read(self, server):
-        key, good = f"k={server.token}", {"Content_Type": "application/json"}
-        status, _ = self.ask(
-            server, "POST", f"/pick?{key}", b"{}", Content_Length=str(1 << 40), **good
-        )
-        assert status == 413
-
-    def test_cameras_that_are_none_are_refused(self, server):
-        key, good = f"k={server.token}", {"Content_Type": "application/json"}
-        camera = told(orbit(server.desk.sides[0].bounds, [0.0], width=100, height=100)[0])
-        for change in (
-            {"focal": 0},
-            {"focal": float("nan")},
-            {"width": 1e9},
-            {"rows": [[1, 0, 0]] * 3},
-            {"shift": [1]},
-        ):
-            asked = {"leg": 0, "side": 0, "row": None, "x": 1, "y": 1}
-            asked["cameras"] = [camera | change, camera]
-            body = json.dumps(asked).encode()
-            assert self.ask(server, "POST", f"/pick?{key}", body, **good)[0] == 400
-
-    def test_no_file_is_served(self, server):
-        for path in ("/../pyproject.toml", "/etc/passwd", "/pick.css"):
-            assert self.ask(server, "GET", f"{path}?k={server.token}")[0] == 404

@@ -36,14 +36,6 @@ QUIET = (
 )
 
 
-@pytest.fixture(scope="module")
-def browsers() -> Iterator[list[Browser]]:
-    started: list[Browser] = []
-    yield started
-    for browser in started:
-        browser.close()
-
-
 @dataclass
 class Visit:
     """A browser at a picker's page, by a hand that knows where the true marks are."""

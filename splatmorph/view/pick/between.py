@@ -48,9 +48,7 @@ def plane(source: PictureSide, target: PictureSide, guide: Guide, t: float) -> b
     assert guide.flow is not None
     canvas = target.picture.canvas
     shrink = min(1.0, LONGEST / max(canvas.width, canvas.height))
-    small = type(canvas)(
-        max(1, round(canvas.width * shrink)), max(1, round(canvas.height * shrink))
-    )
+    small = canvas.scaled(shrink)
     pictures = (source.picture.with_channels(3), target.picture.with_channels(3))
     morph = ImageMorph(*pictures, FlowWarp(guide.flow, guide.frame), small)
     return jpeg(np.asarray(morph.at(t).rgb()))

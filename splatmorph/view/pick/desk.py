@@ -149,7 +149,7 @@ class Desk:
         side = self.sides[leg + end]
         if asked.get("point") is not None:
             point = numbers(asked["point"], side.dim)
-            found: Seen | None = self._seen_at(side, np.array(point), cameras[end])
+            found = side.seen_at(np.array(point), cameras[end])
         else:
             found = side.seen(cameras[end], *numbers([asked["x"], asked["y"]], 2))
         if found is None:
@@ -163,17 +163,6 @@ class Desk:
             row = row.with_place(leg + 1 - end, self._predicted(leg, end, place, cameras))
         self.book.put(row)
         return {"selected": row.id, "said": said[0], "again": said[1]}
-
-    def _seen_at(self, side: Any, point: Any, camera: Camera) -> Seen | None:
-        """The click that would hit a point: what was suggested is clicked by a key."""
-        seen = camera.viewmat[:3, :3] @ np.append(point, np.zeros(3 - len(point)))
-        seen = seen + camera.viewmat[:3, 3]
-        if side.dim == 2:
-            x, y = camera.K[0, 0] * point[0], -camera.K[1, 1] * point[1]
-        else:
-            x, y = camera.K[[0, 1], [0, 1]] * seen[:2] / max(float(seen[2]), 1e-12)
-        found: Seen | None = side.seen(camera, x + camera.K[0, 2], y + camera.K[1, 2])
-        return found
 
     def _placed(
         self, old: Place | None, found: Seen, radius: float

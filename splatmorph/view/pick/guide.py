@@ -11,7 +11,7 @@ from torch import Tensor
 
 from splatmorph.errors import SplatmorphError
 from splatmorph.fitting import fit
-from splatmorph.fitting.choice import LAMBDAS, SHEARS, Regression
+from splatmorph.fitting.choice import LAMBDAS, SHEARS, Regression, standing_out
 from splatmorph.flows import Flow, make_flow
 from splatmorph.geometry.alignment import similarity_between
 from splatmorph.geometry.similarity import Similarity
@@ -63,8 +63,18 @@ class Guide:
             return Guide(*rest, *untold, str(error))
         if len(p) < FEWEST_JUDGED:
             return Guide(*rest, flow, frame, unjudged, frozenset(), None)
-        residuals = tuple(_judged(p, back, flow, frame)[0].tolist())
-        return Guide(*rest, flow, frame, residuals, _doubtful(p, back, flow, frame, radii[1]), None)
+        a, b = flow.to_unit(p).double(), flow.to_unit(back).double()
+        x, y, unit = (a + b) / 2, b - a, float(flow.scale) * frame.scale
+        missed = Regression(x, y, SHEARS[1]).left_out(LAMBDAS[0]) * unit
+        doubtful = standing_out(
+            x,
+            y,
+            min(MOST_DOUBTED, len(x) - FEWEST_JUDGED),
+            smoothing=LAMBDAS[0],
+            times=TOO_FAR,
+            missed=NOTABLE * radii[1] / unit,
+        )
+        return Guide(*rest, flow, frame, tuple(missed.tolist()), frozenset(doubtful), None)
 
     def predict(self, point: Array, side: int, turn: Array) -> Array:
         """Where the point (dim,) of the source (side 0) or the target (1) is on the other one.
@@ -92,30 +102,3 @@ class Guide:
         """Root mean square of the residuals, world units of the target."""
         known = [value for value in self.residuals if value is not None]
         return float(np.sqrt(np.mean(np.square(known)))) if known else None
-
-
-def _judged(p: Tensor, q: Tensor, flow: Flow, frame: Similarity) -> tuple[Tensor, Tensor]:
-    """How far the spline of the others misses each pair, world units of the target, and how much
-    of a surprise that is where they determine its place so well (k,)."""
-    x, y = flow.to_unit(p).double(), flow.to_unit(q).double()
-    regression = Regression((x + y) / 2, y - x, SHEARS[1])
-    inverse = regression.inverse(LAMBDAS[0])
-    weights, held = (inverse @ regression.y).norm(dim=1), inverse.diagonal().clamp_min(1e-300)
-    return weights / held * float(flow.scale) * frame.scale, weights / held.sqrt()
-
-
-def _doubtful(p: Tensor, q: Tensor, flow: Flow, frame: Similarity, radius: float) -> frozenset[int]:
-    """Which pairs stand out: swapped left and right, or another feature.
-
-    The worst is left out before the next is looked for: it spoils its neighbours' residuals.
-    """
-    kept: list[int] = list(range(len(p)))
-    found: set[int] = set()
-    while len(kept) > FEWEST_JUDGED and len(found) < MOST_DOUBTED:
-        missed, surprise = _judged(p[kept], q[kept], flow, frame)
-        worst = int(surprise.argmax())
-        usual = float(surprise.median())
-        if surprise[worst] <= TOO_FAR * usual or missed[worst] <= NOTABLE * radius:
-            break
-        found.add(kept.pop(worst))
-    return frozenset(found)

@@ -59,6 +59,9 @@ class Side(Protocol):
     def seen(self, camera: Camera, x: float, y: float) -> Seen | None:
         """The surface point under a pixel."""
 
+    def seen_at(self, point: Array, camera: Camera) -> Seen | None:
+        """The click that would hit a point: what was suggested is clicked by a key."""
+
     def onto_surface(self, point: Array, camera: Camera) -> Array:
         """The surface point before or behind ``point`` as a camera sees it, where it is near."""
 
@@ -118,6 +121,11 @@ class SplatSide:
     def seen(self, camera: Camera, x: float, y: float) -> Seen | None:
         """As ``Side`` says."""
         return surface(self.arrays, self.bounds, camera, x, y)
+
+    def seen_at(self, point: Array, camera: Camera) -> Seen | None:
+        """As ``Side`` says."""
+        x, y, depth = _pixel(camera, point[None])[0]
+        return self.seen(camera, float(x), float(y)) if depth > 0 else None
 
     def onto_surface(self, point: Array, camera: Camera) -> Array:
         """As ``Side`` says."""
@@ -230,10 +238,14 @@ class PictureSide:
             return None
         return Seen(point, Ray((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), 0.0)
 
+    def seen_at(self, point: Array, camera: Camera) -> Seen | None:
+        """As ``Side`` says."""
+        K = camera.K
+        return self.seen(camera, K[0, 0] * point[0] + K[0, 2], -K[1, 1] * point[1] + K[1, 2])
+
     def onto_surface(self, point: Array, camera: Camera) -> Array:
         """As ``Side`` says: into the picture."""
-        half = np.array(self.picture.canvas.half)
-        return np.clip(point, -half, half)
+        return self.seen_from_outside(point)
 
     def seen_from_outside(self, point: Array) -> Array:
         """The point, on the picture."""
