@@ -124,6 +124,8 @@ def main() -> None:
     warnings.simplefilter("ignore")
     logging.getLogger().addHandler(logging.NullHandler())
     signal.signal(signal.SIGTERM, _terminate)
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
+        signal.signal(signal.SIGINT, _interrupt)
     code = run()
     try:
         if sys.stdout is not None:
@@ -141,6 +143,15 @@ class _TerminatedError(KeyboardInterrupt):
 
 def _terminate(*_: object) -> None:
     raise _TerminatedError
+
+
+class _InterruptedError(KeyboardInterrupt):
+    """SIGINT. Where a plain one passes through ``exec`` of a text, as it may while a library loads,
+    ``python -m`` notes it as not handled, and ends by the signal in spite of our exit code."""
+
+
+def _interrupt(*_: object) -> None:
+    raise _InterruptedError
 
 
 def _failed(message: str) -> int:

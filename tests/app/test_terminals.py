@@ -129,3 +129,25 @@ def test_a_command_that_is_stopped_leaves_nothing_behind(
     else:
         assert said.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interrupt_while_a_library_loads_ends_with_our_code(tmp_path: Path) -> None:
+    (tmp_path / "interrupted.py").write_text(
+        "from splatmorph import app\n"
+        "def run():\n"
+        "    try:\n"
+        "        exec('import signal, time; signal.raise_signal(signal.SIGINT); time.sleep(9)')\n"
+        "    except KeyboardInterrupt:\n"
+        "        return app.console.INTERRUPTED\n"
+        "app.run = run\n"
+        "app.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-m", "interrupted"],
+        cwd=tmp_path,
+        env=_environment(),
+        check=False,
+        capture_output=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )
+    assert done.returncode == 130, done.stderr
