@@ -36,8 +36,8 @@ show("frame", frame.rotation, frame.shift)
 for kind in sorted(KINDS):
     for options in [{"field": field} for field in FIELDS] if kind == "node" else [{}]:
         flow = make_flow(kind, **options)
-        domain = points(3000, 3, 2)
-        report = fit(flow, Landmarks(p), Landmarks(q), FitConfig(steps=21), domain=domain)
+        domain = points(1000, 3, 2)
+        report = fit(flow, Landmarks(p), Landmarks(q), FitConfig(steps=7), domain=domain)
         show("-".join([kind, *options.values()]), *flow.state_dict().values())
         print(kind, repr(report.mse), repr(report.det_min), repr(report.energy_second))
 print(torch.get_num_threads())
