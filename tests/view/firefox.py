@@ -161,7 +161,7 @@ class Firefox:
     def click(self, x: float, y: float) -> None:
         """Press and release the mouse."""
         steps = [
-            {"type": "pointerMove", "x": round(x), "y": round(y)},
+            {"type": "pointerMove", "x": x, "y": y},
             {"type": "pointerDown", "button": 0},
             {"type": "pointerUp", "button": 0},
         ]

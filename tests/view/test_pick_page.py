@@ -11,25 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import Browser, find_browser
+from pick_cases import ASIDE, ASSETS, STRAIGHT
 
 from splatmorph.landmarks import Landmarks
 from splatmorph.runs.request import fit_run
 from splatmorph.runs.settings import Finding
 from splatmorph.view.pick import Server, open_desk
 
-ASSETS = Path(__file__).parents[2] / "assets"
-STRAIGHT = [
-    "nose_tip",
-    "glabella",
-    "forehead",
-    "cheek_left",
-    "cheek_right",
-    "mouth_corner_left",
-    "mouth_corner_right",
-    "nasion",
-]
-"""Seen from the front on skin that hides nothing; the others are clicked from two sides."""
-ASIDE = ["eye_inner_left", "eye_inner_right", "nose_wing_left", "nose_wing_right"]
 QUIET = (
     "(async () => { let last; do { last = picker.busy; await last; } "
     "while (last !== picker.busy); })()"
