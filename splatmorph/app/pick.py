@@ -51,6 +51,8 @@ def pick(
         if start == "face" and template is None:
             template = "head"
         desk = open_desk(paths, folder=out, template=template, up=up, max_splats=max_splats)
+        if desk.papers.set_aside is not None:
+            console.warn(f"{desk.papers.autosave} can't be read: kept as {desk.papers.set_aside}")
         if desk.unsaved:
             console.say(f"took up what was not saved last time: {desk.papers.autosave}")
         said = begin(desk, start, update) if start is not None else None
@@ -70,7 +72,7 @@ def pick(
         server.server_close()
         left = desk.leave()
     if left is not None:
-        console.warn(f"not saved: kept in {left}, and taken up next time")
+        console.warn(left)
     if desk.papers.written:
         for path in sorted(desk.papers.written):
             console.say(f"wrote {path}")

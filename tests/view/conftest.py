@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import shutil
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import pytest
-from browser import Browser
+from browser import Browser, find_browser
+from pick_cases import ASSETS
+from pick_visit import Visit
+
+from splatmorph.landmarks import Landmarks
+from splatmorph.view.pick import Desk, Server, open_desk
 
 
 @pytest.fixture(scope="module")
@@ -15,3 +23,52 @@ def browsers() -> Iterator[list[Browser]]:
     yield started
     for browser in started:
         browser.close()
+
+
+@pytest.fixture
+def visits(browsers: list[Browser], tmp_path: Path) -> Iterator[Callable[..., Visit]]:
+    """``visits("ines", "otto")``: the picker's page open on copies of these, without landmarks."""
+    program = find_browser()
+    if program is None:
+        pytest.skip("no Chromium here (apt-get install chromium, or set SPLATMORPH_TEST_BROWSER)")
+    servers: list[Server] = []
+
+    def visit(*names: str) -> Visit:
+        if not browsers:
+            browsers.append(Browser(program, 1300, 760, offline=False))
+        paths = [
+            tmp_path / (f"{name}.ply" if name not in names[:i] else f"{name}-{i}.ply")
+            for i, name in enumerate(names)
+        ]
+        for name, path in zip(names, paths, strict=True):
+            shutil.copy(ASSETS / f"{name}.ply", path)
+        server = Server(open_desk(paths), "splatmorph fit " + " ".join(path.name for path in paths))
+        servers.append(server)
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        truth = tuple(Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in names)
+        made = Visit(browsers[0], server, paths, truth)
+        made.open()
+        return made
+
+    yield visit
+    for server in servers:
+        server.shutdown()
+        server.server_close()
+
+
+@pytest.fixture(scope="module")
+def truth() -> tuple[Landmarks, Landmarks]:
+    return Landmarks.read(ASSETS / "ines.landmarks.json"), Landmarks.read(
+        ASSETS / "otto.landmarks.json"
+    )
+
+
+@pytest.fixture
+def pair(tmp_path: Path) -> list[Path]:
+    """The sample pair without its landmarks."""
+    return [Path(shutil.copy(ASSETS / f"{name}.ply", tmp_path)) for name in ("ines", "otto")]
+
+
+@pytest.fixture
+def desk(pair: list[Path]) -> Desk:
+    return open_desk(pair)

@@ -16,7 +16,6 @@ from splatmorph.runs.settings import Finding
 from splatmorph.view.pick import Server, open_desk
 
 
-
 def test_twelve_features_clicked_saved_and_morphed(tmp_path):
     program = find_firefox()
     if program is None:

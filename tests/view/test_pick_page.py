@@ -2,118 +2,23 @@
 
 from __future__ import annotations
 
-import shutil
-import threading
-from collections.abc import Iterator
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Callable
 
 import numpy as np
 import pytest
-from browser import Browser, find_browser
-from pick_cases import ASIDE, ASSETS, STRAIGHT
+from pick_cases import ASIDE, STRAIGHT
+from pick_visit import Visit
 
+from splatmorph.io import read
 from splatmorph.landmarks import Landmarks
+from splatmorph.registration.masks import without_masked
 from splatmorph.runs.request import fit_run
 from splatmorph.runs.settings import Finding
-from splatmorph.view.pick import Server, open_desk
-
-QUIET = (
-    "(async () => { let last; do { last = picker.busy; await last; } "
-    "while (last !== picker.busy); })()"
-)
-
-
-@dataclass
-class Visit:
-    """A browser at a picker's page, by a hand that knows where the true marks are."""
-
-    browser: Browser
-    server: Server
-    paths: list[Path]
-    truth: tuple[Landmarks, Landmarks]
-
-    def open(self, more: str = "") -> None:
-        self.browser.visit(self.server.address + more)
-        self.browser.wait("document.documentElement?.dataset.ready")
-        assert self.browser.evaluate("document.documentElement.dataset.ready") == "yes"
-        self.quiet()
-
-    def quiet(self) -> None:
-        self.browser.evaluate(QUIET)
-
-    def where(self, pane: int, name: str) -> tuple[float, float]:
-        marks = self.truth[pane]
-        point = marks.points[marks.names.index(name)].tolist()
-        x, y = self.browser.evaluate(
-            f"(() => {{ const box = picker.panes[{pane}].root.getBoundingClientRect();"
-            f"const [x, y] = picker.panes[{pane}].project({point});"
-            "return [box.left + x, box.top + y]; })()"
-        )
-        return x, y
-
-    def mouse(self, kind: str, x: float, y: float) -> None:
-        self.browser.call(
-            "Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", buttons=1, clickCount=1
-        )
-
-    def click(self, pane: int, name: str) -> None:
-        x, y = self.where(pane, name)
-        self.mouse("mousePressed", x, y)
-        self.mouse("mouseReleased", x, y)
-        self.quiet()
-
-    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
-        self.mouse("mousePressed", *start)
-        for share in (0.3, 0.7, 1.0):
-            here = [a + share * (b - a) for a, b in zip(start, end, strict=True)]
-            self.mouse("mouseMoved", *here)
-        self.mouse("mouseReleased", *end)
-        self.quiet()
-
-    def key(self, key: str, code: str = "", *, control: bool = False, shift: bool = False) -> None:
-        held = 2 * control + 8 * shift
-        for kind in ("keyDown", "keyUp"):
-            self.browser.call(
-                "Input.dispatchKeyEvent", type=kind, key=key, code=code or key, modifiers=held
-            )
-        self.quiet()
-
-    def turn(self, angle: float) -> None:
-        self.browser.evaluate(
-            f"picker.panes.forEach((p) => {{ p.camera.azimuth = {angle}; p.changed(); }})"
-        )
-
-    def rows(self) -> list[dict]:
-        return self.browser.evaluate("picker.rows")
-
-    def pick(self, name: str) -> None:
-        """A on A, then the correction on B."""
-        self.click(0, name)
-        self.click(1, name)
-
-    def off(self, pane: int, name: str, row: dict) -> float:
-        marks = self.truth[pane]
-        true = marks.points[marks.names.index(name)].numpy()
-        return float(np.linalg.norm(np.array(row["places"][pane]["point"]) - true))
 
 
 @pytest.fixture
-def visit(browsers: list[Browser], tmp_path: Path) -> Iterator[Visit]:
-    program = find_browser()
-    if program is None:
-        pytest.skip("no Chromium here (apt-get install chromium, or set SPLATMORPH_TEST_BROWSER)")
-    if not browsers:
-        browsers.append(Browser(program, 1300, 760, offline=False))
-    paths = [Path(shutil.copy(ASSETS / f"{name}.ply", tmp_path)) for name in ("ines", "otto")]
-    server = Server(open_desk(paths), "splatmorph fit ines.ply otto.ply")
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    truth = tuple(Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in ("ines", "otto"))
-    made = Visit(browsers[0], server, paths, truth)
-    made.open()
-    yield made
-    server.shutdown()
-    server.server_close()
+def visit(visits: Callable[..., Visit]) -> Visit:
+    return visits("ines", "otto")
 
 
 def test_twelve_features_clicked_are_where_they_are_and_the_fit_meets_them(visit, tmp_path):
@@ -228,3 +133,71 @@ def test_an_address_without_its_token_shows_nothing(visit):
     visit.browser.visit(visit.server.address[:-3])
     visit.browser.wait("document.body && document.body.textContent.includes('token')")
     assert visit.browser.evaluate("document.scripts.length") == 0
+
+
+@pytest.mark.parametrize("shape", ["b", "k"])
+def test_what_is_ringed_is_left_out_and_cleared(visit, shape):
+    """A box and a loop round the lower half: both by a key, a drag, and undone by a button."""
+    (left, top), (right, bottom) = visit.box(0)
+    low = top + 0.6 * (bottom - top)
+    corners = [(left + 2, low), (right - 2, low), (right - 2, bottom - 2), (left + 2, bottom - 2)]
+    whole = read(visit.paths[0])
+    visit.key(shape)
+    assert visit.browser.evaluate("document.querySelectorAll('[aria-pressed=true]').length") == 2
+    visit.drag(*(corners[::2] if shape == "b" else corners))
+    assert "left out" in visit.browser.evaluate("document.getElementById('said').textContent")
+    seen = without_masked(whole, visit.paths[0]).means[:, 1]
+    assert 0.3 * len(whole) < len(seen) < 0.9 * len(whole)
+    assert (seen.min() > whole.means[:, 1].min()) or (seen.max() < whole.means[:, 1].max())
+    assert visit.rows() == []
+    visit.browser.evaluate("document.getElementById('unmask').click()")
+    visit.quiet()
+    assert len(without_masked(whole, visit.paths[0])) == len(whole)
+    assert visit.browser.complaints() == []
+
+
+def test_a_chain_has_a_tab_for_each_pair_and_the_same_names(visits, tmp_path):
+    visit = visits("ines", "otto", "ines")
+    tabs = "[...document.querySelectorAll('#tabs button')]"
+    assert visit.browser.evaluate(f"{tabs}.map((tab) => tab.textContent)") == [
+        "ines → otto",
+        "otto → ines-2",
+    ]
+    visit.pick("nose_tip")
+    visit.browser.evaluate(f"{tabs}[1].click()")
+    visit.quiet()
+    visit.leg = 1
+    visit.key("Tab")
+    visit.click(1, "nose_tip")
+    assert visit.off(2, "nose_tip", visit.rows()[0]) < 2e-3
+    chosen = visit.browser.evaluate(f"{tabs}.map((tab) => tab.getAttribute('aria-selected'))")
+    assert chosen == ["false", "true"]
+    visit.key("s", "KeyS", control=True)
+    names = {Landmarks.read(path.with_suffix(".landmarks.json")).names for path in visit.paths}
+    assert names == {("p1",)}
+    assert visit.browser.complaints() == []
+
+
+@pytest.mark.parametrize("size", [(820, 1180), (1180, 820)])
+def test_on_a_tablet_all_is_in_reach_and_a_finger_picks(visit, size):
+    visit.browser.resize(*size, mobile=True)
+    try:
+        visit.open()
+        wide = visit.browser.evaluate("document.documentElement.scrollWidth")
+        assert wide <= size[0]
+        for pane in (0, 1):
+            (left, top), (right, bottom) = visit.box(pane)
+            assert min(right - left, bottom - top) > 250
+            visit.tap(pane, "nose_tip")
+        for button in ("undo", "redo", "suggest", "box", "lasso", "unmask", "help", "save"):
+            box = visit.browser.evaluate(
+                f"(({{ left, right, top, bottom }}) => [left, right, top, bottom])"
+                f"(document.getElementById('{button}').getBoundingClientRect())"
+            )
+            assert 0 <= box[0] < box[1] <= size[0]
+            assert 0 <= box[2] < box[3] <= size[1]
+        (row,) = visit.rows()
+        assert all(visit.off(pane, "nose_tip", row) < 2e-3 for pane in (0, 1))
+        assert visit.browser.complaints() == []
+    finally:
+        visit.browser.resize(1300, 760)

@@ -4,14 +4,22 @@ from __future__ import annotations
 
 import http.client
 import json
+import os
+import shlex
 import shutil
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 
 import pytest
-from pick_cases import ASSETS, told
+from pick_cases import ASSETS, STRAIGHT, told
 
 from renderer import orbit
+from splatmorph.io import read
+from splatmorph.landmarks import Landmarks
+from splatmorph.rendering import bounds
 from splatmorph.view.pick import Server, open_desk
 
 
@@ -105,3 +113,49 @@ class TestServer:
     def test_no_file_is_served(self, server):
         for path in ("/../pyproject.toml", "/etc/passwd", "/pick.css"):
             assert self.ask(server, "GET", f"{path}?k={server.token}")[0] == 404
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no interrupt can be sent to a child there")
+def test_the_command_that_the_terminal_ends_with_makes_the_morph(tmp_path):
+    paths = [shutil.copy(ASSETS / f"{name}.ply", tmp_path) for name in ("ines", "otto")]
+    truth = [Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in ("ines", "otto")]
+    program = [sys.executable, "-m", "splatmorph"]
+    picker = subprocess.Popen(
+        [*program, "pick", "ines.ply", "otto.ply", "--no-browser"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        address = picker.stdout.readline().split()[-1]
+        line = http.client.HTTPConnection(address.split("/")[2], timeout=60)
+        ends = [told(orbit(bounds(read(path)), [0.0], width=400, height=400)[0]) for path in paths]
+
+        def post(action: str, **asked: object) -> dict:
+            body, kind = json.dumps(asked), {"Content-Type": "application/json"}
+            line.request("POST", f"/{action}?{address.split('?')[1]}", body, kind)
+            return json.loads(line.getresponse().read())
+
+        for name in STRAIGHT:
+            row = None
+            for side, marks in enumerate(truth):
+                point = marks.points[marks.names.index(name)].tolist()
+                asked = {"leg": 0, "side": side, "row": row, "point": point, "cameras": ends}
+                row = post("pick", **asked)["selected"]
+        assert "wrote" in post("save")["said"]
+        line.close()
+        picker.send_signal(signal.SIGINT)
+        said, warned = picker.communicate(timeout=60)
+    finally:
+        picker.kill()
+    assert picker.returncode == 0
+    assert warned == ""
+    command = shlex.split(said.splitlines()[-1])
+    assert command == ["splatmorph", "fit", "ines.ply", "otto.ply"]
+    done = subprocess.run(
+        [*program, *command[1:]], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert f"{len(STRAIGHT)} landmarks" in done.stdout

@@ -308,14 +308,14 @@ class Desk:
         return [name for name in self.names if name not in taken]
 
     def leave(self) -> str | None:
-        """What is left unsaved at the end: the autosave that holds it."""
+        """What became of unsaved pairs at the end, a line, or None where there are none."""
         if not self.unsaved:
             return None
         try:
             self.papers.keep(self.book)
         except SplatmorphError as error:
-            return str(error)
-        return str(self.papers.autosave)
+            return f"what was not saved is lost: {error}"
+        return f"not saved: kept in {self.papers.autosave}, and taken up next time"
 
 
 def _end(asked: Asked) -> int:

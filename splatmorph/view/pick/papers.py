@@ -34,6 +34,8 @@ class Papers:
     """Where landmarks are written; beside each input if not given."""
     written: set[Path] = field(default_factory=set)
     """What is ours already: it needs no backup."""
+    set_aside: Path | None = None
+    """Where an autosave went that could not be read."""
 
     def path(self, side: int) -> Path:
         """Where the landmarks of an input are written."""
@@ -88,7 +90,13 @@ class Papers:
         return Landmarks(read.points - offset, read.names, read.confidence)
 
     def restore(self, book: Book) -> bool:
-        """Fill the book from the autosave, if one is there and belongs to these inputs."""
+        """Fill the book from the autosave, if one is there and belongs to these inputs.
+
+        Another is set aside, since the next step is written in its place.
+
+        Raises:
+            WriteError: it can't be set aside.
+        """
         path = self.autosave
         if not path.is_file():
             return False
@@ -96,6 +104,8 @@ class Papers:
             stored = read_json(path)
             rows = Book.rows_from(stored["rows"], len(self.sides), self.sides[0].dim)
         except (SplatmorphError, KeyError, TypeError, ValueError):
+            self._back_up(path)
+            self.set_aside = _backup_of(path)
             return False
         book.change(rows)
         return True
@@ -135,7 +145,7 @@ class Papers:
     def _back_up(self, path: Path) -> None:
         if path in self.written or not path.is_file():
             return
-        backup = path.with_name(f"{path.name}.bak")
+        backup = _backup_of(path)
         try:
             with atomic_write(backup) as partial:
                 shutil.copyfile(path, partial)
@@ -152,3 +162,7 @@ class Papers:
             return
         values = values + values.new_tensor(one.gaussians.offset)
         Landmarks(values, tuple(points)).write(path)
+
+
+def _backup_of(path: Path) -> Path:
+    return path.with_name(f"{path.name}.bak")
