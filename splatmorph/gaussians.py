@@ -121,8 +121,8 @@ class Gaussians:
             up=_turned_up(self.up, similarity.rotation),
         )
 
-    def select(self, index: Tensor) -> Gaussians:
-        """The splats at ``index``: a (m,) tensor of indices or an (n,) boolean mask."""
+    def select(self, index: Tensor | slice) -> Gaussians:
+        """The splats at ``index``: a (m,) tensor of indices, an (n,) boolean mask or a slice."""
         return replace(
             self,
             means=self.means[index],
@@ -144,12 +144,13 @@ class Gaussians:
         return replace(self, sh=torch.cat([kept, padding], dim=1))
 
     @staticmethod
-    def union(first: Gaussians, second: Gaussians) -> Gaussians:
+    def union(first: Gaussians, second: Gaussians, room: Gaussians | None = None) -> Gaussians:
         """All splats of both, ``first`` before ``second``: G⁰ ∪ G¹ of the paper's eq. 7.
 
         The SH degree is the higher one; extras that only one side has are dropped, since they
         would have no value on the other. The offset is the first one's; which axis is up, what
-        either says if the other doesn't gainsay it.
+        either says if the other doesn't gainsay it. With ``room``, as many splats of that degree,
+        they are put there; what is there already isn't copied.
         """
         degree = max(first.sh_degree, second.sh_degree)
         a, b = first.with_sh_degree(degree), second.with_sh_degree(degree)
@@ -157,16 +158,29 @@ class Gaussians:
         means = b.means
         if a.offset != b.offset:
             means = (b.absolute_means - b.absolute_means.new_tensor(a.offset)).to(means.dtype)
+        fields = {
+            "means": (a.means, means),
+            "quats": (a.quats, b.quats),
+            "log_scales": (a.log_scales, b.log_scales),
+            "opacity_logits": (a.opacity_logits, b.opacity_logits),
+            "sh": (a.sh, b.sh),
+        }
+        places = {name: None if room is None else vars(room)[name] for name in fields}
         return Gaussians(
-            means=torch.cat([a.means, means]),
-            quats=torch.cat([a.quats, b.quats]),
-            log_scales=torch.cat([a.log_scales, b.log_scales]),
-            opacity_logits=torch.cat([a.opacity_logits, b.opacity_logits]),
-            sh=torch.cat([a.sh, b.sh]),
+            **{name: _together(*both, places[name]) for name, both in fields.items()},
             extras={name: torch.cat([a.extras[name], b.extras[name]]) for name in shared},
             up=(a.up or b.up) if None in (a.up, b.up) or a.up == b.up else None,
             offset=a.offset,
         )
+
+
+def _together(first: Tensor, second: Tensor, room: Tensor | None) -> Tensor:
+    if room is None:
+        return torch.cat([first, second])
+    for part, place in ((first, room[: len(first)]), (second, room[len(first) :])):
+        if part.data_ptr() != place.data_ptr():
+            place.copy_(part)
+    return room
 
 
 def _turned_up(up: str | None, rotation: Tensor) -> str | None:

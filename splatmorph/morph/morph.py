@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
-from functools import cached_property
-from typing import TypeVar
+from functools import cached_property, partial
+from typing import NamedTuple, Protocol, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +16,7 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph.agreement import Agreement, OnStep, agree
+from splatmorph.morph.memory import Memory
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, Drift, colour_turns
@@ -33,6 +34,21 @@ MOST_LEAD = 3.0
 
 UNSEEN = 1e-6
 """The weight that stands for 0 where splats must stay: never drawn, and its logit is finite."""
+
+
+class Half(NamedTuple):
+    """One half of a morph at one moment, still to be made."""
+
+    splats: Gaussians
+    """As many as there will be, of that degree."""
+    make: Callable[[Gaussians | None], Gaussians]
+    """Makes it, in the room that it gets where it can."""
+
+
+class Travel(Protocol):
+    """Splats some time after their start, made in ``room`` as far as that can be."""
+
+    def __call__(self, t: float, room: Gaussians | None = None) -> Gaussians: ...
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -112,7 +128,9 @@ class Morph:
         eased = [ease(t) for t in times]
         sources = self._half(self.source, eased, leaves=1)
         targets = self._half(self.aligned, [t - 1 for t in eased], leaves=-1)
-        return map(self._placed, sources, targets, eased)
+        memory = Memory()
+        halves = zip(sources, targets, eased, strict=True)
+        return (self._placed(source, target, t, memory) for source, target, t in halves)
 
     @cached_property
     def aligned(self) -> Gaussians:
@@ -120,25 +138,29 @@ class Morph:
         moved = self.target.moved(self.frame.inverse())
         return replace(moved, up=self.source.up or moved.up, offset=self.source.offset)
 
-    def _placed(self, source: Gaussians | None, target: Gaussians | None, t: float) -> Gaussians:
+    def _placed(
+        self, source: Half | None, target: Half | None, t: float, memory: Memory
+    ) -> Gaussians:
         """Both halves at t, where and how large they are at that moment."""
         if self.stay:
-            return _joined(source, target)
+            return _joined(source, target, memory)
         place = self.frame.power(t)
-        source, target = (half and half.moved(place) for half in (source, target))
         if t == 1 and target is not None:
             # S∘S⁻¹ rounds, and the target is to be the target.
-            added = target.select(torch.arange(len(self.target), len(target)))
-            target = Gaussians.union(self.target, added) if len(added) else self.target
+            added = target.make(None).select(slice(len(self.target), None))
+            others = [added, *([] if source is None else [source.make(None)])]
+            offset = self.target.offset
+            added, *first = (replace(one.moved(place), offset=offset) for one in others)
+            whole = Gaussians.union(self.target, added) if len(added) else self.target
+            return Gaussians.union(first[0], whole) if first else whole
+        whole = _joined(source, target, memory).moved(place)
         if self.source.offset == self.target.offset:
-            return _joined(source, target)
-        offset = _between(self.source.offset, self.target.offset, t)
-        halves = (half and replace(half, offset=offset) for half in (source, target))
-        return _joined(*halves)
+            return whole
+        return replace(whole, offset=_between(self.source.offset, self.target.offset, t))
 
     def _half(
         self, gaussians: Gaussians, times: Sequence[float], leaves: int
-    ) -> Iterator[Gaussians | None]:
+    ) -> Iterator[Half | None]:
         """One half at ``times`` after its own end of the morph; None where it has faded out.
 
         ``leaves`` is the direction of time, 1 or -1, in which it fades.
@@ -149,20 +171,22 @@ class Morph:
         least = UNSEEN if self.stable_count else 0.0
         weights = [max(weight, least) for weight in weights]
         timed = list(zip(times, weights, strict=True))
-        parts = self._parts(gaussians, leaves)
+        degree = max(self.source.sh_degree, self.target.sh_degree)
+        parts = self._parts(gaussians, leaves).with_sh_degree(degree)
         whole = self._travels(gaussians, [t for t, weight in timed if weight == 1])
         fading = self._fading(parts, [t for t, weight in timed if 0 < weight < 1], leaves)
         ramp = RAMPS[self.ramp]
-        added = parts.select(torch.arange(len(gaussians), len(parts)))
+        added = parts.select(slice(len(gaussians), None))
         for t, weight in timed:
             if weight == 0:
                 yield None
             elif weight < 1:
-                yield fading(t, weight)
+                yield Half(parts, partial(fading, t, weight))
             elif self.stable_count and len(added):
-                yield Gaussians.union(whole(t), ramp(added, UNSEEN))
+                unseen = Gaussians.union(whole(t), ramp(added, UNSEEN))
+                yield Half(unseen, partial(_as_it_is, unseen))
             else:
-                yield whole(t)
+                yield Half(gaussians, partial(whole, t))
 
     def _parts(self, gaussians: Gaussians, leaves: int) -> Gaussians:
         """What a half consists of while it fades, the same whatever the times."""
@@ -174,15 +198,17 @@ class Morph:
 
     def _fading(
         self, parts: Gaussians, times: Sequence[float], leaves: int
-    ) -> Callable[[float, float], Gaussians]:
-        """A half at any of ``times``, faded to a weight."""
+    ) -> Callable[[float, float, Gaussians | None], Gaussians]:
+        """A half at any of ``times``, faded to a weight, in the room that it gets."""
         ramp = RAMPS[self.ramp]
-        if not BLENDS[self.blend] or not times:
-            travels = self._travels(parts, times)
-            return lambda t, weight: ramp(travels(t), weight)
-        agreed = self.agreement()[leaves < 0]
-        travels = self._travels(agreed.taken(parts), times, agreed.drift)
-        return lambda t, weight: ramp(travels(t), agreed.exponents(weight))
+        agreed = self.agreement()[leaves < 0] if BLENDS[self.blend] and times else None
+        travels = self._travels(parts, times, None if agreed is None else agreed.drift)
+
+        def fading(t: float, weight: float, room: Gaussians | None) -> Gaussians:
+            exponents = weight if agreed is None else agreed.exponents(weight)
+            return ramp(travels(t, room), exponents, room)
+
+        return fading
 
     def half(self, index: int, t: float) -> Gaussians:
         """The source (0) or the target (1) on its way at t in [0, 1], in the source's place.
@@ -234,16 +260,19 @@ class Morph:
 
     def _travels(
         self, gaussians: Gaussians, times: Sequence[float], drift: Drift | None = None
-    ) -> Callable[[float], Gaussians]:
+    ) -> Travel:
         """The splats at any of ``times`` after their start, from one integration."""
         stops = sorted({t for t in times if t != 0})
         transport = COVARIANCES[self.covariance]
         frame = transport(gaussians, self.flow, stops, drift) if stops else None
 
-        def at(t: float) -> Gaussians:
+        def at(t: float, room: Gaussians | None = None) -> Gaussians:
             if frame is None or t == 0:
                 return gaussians
-            moved = frame(stops.index(t))
+            moved = frame(stops.index(t), room)
+            if moved.means.sum().isfinite():
+                return moved
+            # Either some are lost, or the sum has overflowed.
             lost = len(moved) - int(moved.means.isfinite().all(1).sum())
             if lost:
                 raise NonFiniteError(
@@ -255,11 +284,26 @@ class Morph:
         return at
 
 
-def _joined(source: Gaussians | None, target: Gaussians | None) -> Gaussians:
+def _joined(source: Half | None, target: Half | None, memory: Memory) -> Gaussians:
+    """Both halves, made where they lie one behind the other."""
     if source is None or target is None:
         (whole,) = (half for half in (source, target) if half is not None)
-        return whole
-    return Gaussians.union(source, target)
+        return whole.make(None)
+    ends = source.splats, target.splats
+    if not all(map(Memory.holds, ends)):
+        return Gaussians.union(source.make(None), target.make(None))
+    degree = max(end.sh_degree for end in ends)
+    room = memory.splats(sum(map(len, ends)), degree)
+    parts = room.select(slice(len(ends[0]))), room.select(slice(len(ends[0]), None))
+    first, second = (
+        half.make(part if half.splats.sh_degree == degree else None)
+        for half, part in zip((source, target), parts, strict=True)
+    )
+    return Gaussians.union(first, second, room)
+
+
+def _as_it_is(gaussians: Gaussians, room: Gaussians | None) -> Gaussians:
+    return gaussians
 
 
 def _between(start: Offset, end: Offset, t: float) -> Offset:

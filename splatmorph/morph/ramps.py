@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -19,6 +20,7 @@ from torch import Tensor
 from torch.nn.functional import logsigmoid
 
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
+from splatmorph.morph.native.fade import Fade
 
 DENSEST = 0.99
 """Renderers draw no splat more opaque than this."""
@@ -29,8 +31,19 @@ STEPS = 128
 WEIGHTS = 64
 """Intervals of weight, where each splat has its own."""
 
+_native = Fade(STEPS, WEIGHTS, DENSEST, FAINTEST_DRAWN)
+
 Weight = float | Tensor
-Ramp = Callable[[Gaussians, Weight], Gaussians]
+
+
+class Ramp(Protocol):
+    """Splats faded to a weight; what it can, it makes in ``room``, of as many splats."""
+
+    def __call__(
+        self, gaussians: Gaussians, weight: Weight, room: Gaussians | None = None
+    ) -> Gaussians: ...
+
+
 Ease = Callable[[float], float]
 
 
@@ -45,7 +58,7 @@ def scaled_logits(logits: Tensor, log_factor: Tensor) -> Tensor:
     return log_factor + logsigmoid(logits) - remainder
 
 
-def linear(gaussians: Gaussians, weight: Weight) -> Gaussians:
+def linear(gaussians: Gaussians, weight: Weight, room: Gaussians | None = None) -> Gaussians:
     """The paper's ramp (eq. 7): the opacity α becomes w·α.
 
     Two such copies of one surface are thinner than the surface: 1 - (1 - wα)(1 - (1-w)α) < α.
@@ -54,7 +67,7 @@ def linear(gaussians: Gaussians, weight: Weight) -> Gaussians:
     return _scaled(gaussians, torch.zeros_like(gaussians.opacity_logits) + log_weight)
 
 
-def power(gaussians: Gaussians, weight: Weight) -> Gaussians:
+def power(gaussians: Gaussians, weight: Weight, room: Gaussians | None = None) -> Gaussians:
     """The opacity α becomes 1 - (1 - α)^w: the transmittances of the halves multiply to 1 - α.
 
     So the peak of a splat is kept, but its flanks, where α is small, swell.
@@ -63,7 +76,7 @@ def power(gaussians: Gaussians, weight: Weight) -> Gaussians:
     return _scaled(gaussians, (-torch.expm1(weight * torch.log1p(-drawn)) / drawn).log())
 
 
-def calibrated(gaussians: Gaussians, weight: Weight) -> Gaussians:
+def calibrated(gaussians: Gaussians, weight: Weight, room: Gaussians | None = None) -> Gaussians:
     """A splat morphed into itself looks like itself: opacities fade and splats narrow.
 
     With G the Gaussian's profile, the profile 1 - (1 - αG)^w would be exact: two copies with
@@ -73,6 +86,13 @@ def calibrated(gaussians: Gaussians, weight: Weight) -> Gaussians:
     their edges twice: the lost rim is given back by raising faint splats by 1/255, as far as
     neither copy exceeds its α.
     """
+    logits, log_scales = gaussians.opacity_logits, gaussians.log_scales
+    if _native.takes(logits, log_scales):
+        own = weight if isinstance(weight, Tensor) else None
+        table = _best_gaussians(float(weight)) if own is None else _all_weights()
+        out = None if room is None else (room.opacity_logits, room.log_scales)
+        logits, log_scales = _native(logits, log_scales, table, own, out)
+        return replace(gaussians, opacity_logits=logits, log_scales=log_scales)
     drawn = _drawn_opacities(gaussians)
     if isinstance(weight, Tensor):
         factor, narrowing, other = _between(weight.to(drawn), drawn)

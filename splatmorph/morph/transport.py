@@ -26,7 +26,11 @@ KNOTS = 8
 BLOCK = 1 << 15
 """Splats whose Jacobians are held at a time."""
 
-Frames = Callable[[int], Gaussians]
+
+class Frames(Protocol):
+    """The splats at the k-th time; what it can, it makes in ``room``, of as many splats."""
+
+    def __call__(self, k: int, room: Gaussians | None = None) -> Gaussians: ...
 
 
 @dataclass(frozen=True)
@@ -55,22 +59,29 @@ def move_centers(
 ) -> Frames:
     """The paper's transport: centers follow the flow, covariance and colour stay as they are."""
     centers = _centers(gaussians, flow, times, drift)
-    if drift is None:
-        return lambda k: replace(gaussians, means=centers(k))
-    return lambda k: replace(
-        gaussians,
-        means=centers(k),
-        sh=torch.add(gaussians.sh, drift.sh.to(gaussians.sh), alpha=abs(times[k])),
-    )
+
+    def frame(k: int, room: Gaussians | None = None) -> Gaussians:
+        sh = gaussians.sh
+        if drift is not None:
+            out = None if room is None else room.sh
+            sh = torch.add(sh, drift.sh.to(sh), alpha=abs(times[k]), out=out)
+        return replace(gaussians, means=centers(k, room), sh=sh)
+
+    return frame
 
 
 def _centers(
     gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None
-) -> Callable[[int], Tensor]:
+) -> Callable[[int, Gaussians | None], Tensor]:
     path = flow.trajectory(gaussians.means, times)
-    if drift is None:
-        return path.__getitem__
-    return lambda k: torch.add(path[k], drift.offset.to(path[k]), alpha=abs(times[k]))
+
+    def centers(k: int, room: Gaussians | None) -> Tensor:
+        if drift is None:
+            return path[k]
+        out = None if room is None else room.means
+        return torch.add(path[k], drift.offset.to(path[k]), alpha=abs(times[k]), out=out)
+
+    return centers
 
 
 @torch.no_grad()
@@ -95,14 +106,17 @@ def move_shapes(
         if reach > 0
     }
 
-    def frame(k: int) -> Gaussians:
+    def frame(k: int, room: Gaussians | None = None) -> Gaussians:
         near, weights = _about(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
         own = None if drift is None else (drift.sh.to(gaussians.sh), abs(times[k]))
         degree = gaussians.sh_degree
-        takes = native.takes(near, gaussians.sh, degree)
-        between = native.moment if takes else moment
-        shape: dict[str, Any] = {**between(near, weights, gaussians.sh, degree, own)}
-        return replace(gaussians, means=centers(k), **shape)
+        arguments = near, weights, gaussians.sh, degree, own
+        if native.takes(near, gaussians.sh, degree):
+            shape = native.moment(*arguments, None if room is None else vars(room))
+        else:
+            shape = moment(*arguments)
+        changed: dict[str, Any] = {**shape}
+        return replace(gaussians, means=centers(k, room), **changed)
 
     return frame
 

@@ -63,16 +63,24 @@ def moment(
     sh: Tensor,
     degree: int,
     drift: tuple[Tensor, float] | None,
+    room: Mapping[str, Tensor] | None = None,
 ) -> dict[str, Tensor]:
-    """As its plain twin, on all of torch's threads; for what ``takes`` takes."""
+    """As its plain twin, on all of torch's threads; for what ``takes`` takes.
+
+    It is written into the contiguous tensors of ``room``, if that is given.
+    """
     near, count = paths["quats"].shape[:2]
     inputs = {name: path.contiguous() for name, path in paths.items()}
     inputs["sh"] = sh.contiguous()
     if drift is not None:
         inputs["drift"] = drift[0].to(sh).contiguous()
-    outputs = {name: path.new_empty(path.shape[1:]) for name, path in paths.items()}
-    outputs["sh"] = torch.empty_like(inputs["sh"])
-    del outputs["turns"]
+    likes = {name: path[0] for name, path in paths.items() if name != "turns"} | {"sh": sh}
+    outputs = {
+        name: torch.empty_like(like, memory_format=torch.contiguous_format)
+        if room is None
+        else room[name]
+        for name, like in likes.items()
+    }
     arguments = _Arguments(
         **{name: tensor.data_ptr() for name, tensor in inputs.items()},
         **{f"{name}_out": tensor.data_ptr() for name, tensor in outputs.items()},
