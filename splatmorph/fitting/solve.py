@@ -34,7 +34,7 @@ def half_time_gap(velocity: Callable[[Tensor], Tensor], p: Tensor, q: Tensor) ->
         single = p.float(), q.float()
         if all(path.takes(velocity, x, jacobian=False) for x in single):
             forward, backward = (
-                path.knots(velocity, x, h, steps, jacobian=False, every=False)[0][0]
+                path.states(velocity, x, h, steps, jacobian=False, every=steps)[-1]
                 for x, h in zip(single, (TRAINING_STEP, -TRAINING_STEP), strict=True)
             )
             return (backward - forward).to(p)

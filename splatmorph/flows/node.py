@@ -87,13 +87,25 @@ class Node(Flow):
         count = math.ceil(float(column.abs().max()) * self.steps - 1e-9)
         if count and column.ndim == 0 and path.takes(self.field, u, jacobian=False):
             h = float(column) / count
-            return path.knots(self.field, u, h, count, jacobian=False, every=False)[0][0]
+            return path.states(self.field, u, h, count, jacobian=False, every=count)[-1]
         return runge_kutta(self.field, u, column, count)
 
     def unit_trajectory(
         self, u: Tensor, times: list[float], *, jacobian: bool
     ) -> tuple[Tensor, Tensor | None]:
         """Φ(u, t) for every t and, where asked, the Jacobian carried along the path."""
+        every = _steps_between(times, self.steps)
+        if every and path.takes(self.field, u, jacobian=jacobian):
+            h, count = math.copysign(1 / self.steps, every), abs(every) * len(times)
+            out = path.states(self.field, u, h, count, jacobian=jacobian, every=abs(every))[1:]
+        else:
+            out = self._between_knots(u, times, jacobian)
+        if not jacobian:
+            return out, None
+        return out[..., : self.dim], out[..., self.dim :].unflatten(2, (self.dim, self.dim))
+
+    def _between_knots(self, u: Tensor, times: list[float], jacobian: bool) -> Tensor:
+        """The states at any times."""
         start = _joint(u, jacobian)
         out = start.expand(len(times), *start.shape).clone()
         for sign in (1.0, -1.0):
@@ -103,9 +115,7 @@ class Node(Flow):
                 _dense_output(
                     out, wanted, *self._knots(u, sign, count, jacobian), sign / self.steps
                 )
-        if not jacobian:
-            return out, None
-        return out[..., : self.dim], out[..., self.dim :].unflatten(2, (self.dim, self.dim))
+        return out
 
     def _knots(self, u: Tensor, sign: float, count: int, jacobian: bool) -> tuple[Tensor, Tensor]:
         """States and rates at the knots 0, 1/steps, … count/steps, forwards or backwards."""
@@ -156,6 +166,13 @@ def _joint(u: Tensor, jacobian: bool) -> Tensor:
         return u
     dim = u.shape[1]
     return torch.cat([u, torch.eye(dim).to(u).flatten().expand(len(u), -1)], dim=1)
+
+
+def _steps_between(times: list[float], steps: int) -> int:
+    """So many steps, backwards if negative, lie before each of ``times``; 0: not the same."""
+    every = round(times[0] * steps) if times else 0
+    even = all(t * steps == every * (k + 1) for k, t in enumerate(times))
+    return every if even else 0
 
 
 def _dense_output(

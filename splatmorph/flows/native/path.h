@@ -7,7 +7,7 @@ struct Arguments {          // the twin of path.py's
     const float* affine;    // (1 + DIM) × DIM: velocity at 0, then slopes
     const float* spline;    // centers × (center, weight)
     const float* network;   // see below
-    float *states, *rates;  // knots × points × STATE
+    float *states, *rates;  // knots × points × STATE, of every so many steps; rates may be null
     long long points, centers, width, steps, every;
     double rounding_squared, h;
 };
@@ -139,9 +139,9 @@ for (long p = begin; p < end; p += LANES) {
     };
     rate(x, k1);
     for (int n = 0; n < steps; ++n) {
-        if (every) {
-            save(given.states, x, n);
-            save(given.rates, k1, n);
+        if (n % every == 0) {
+            save(given.states, x, n / every);
+            if (given.rates) save(given.rates, k1, n / every);
         }
         for (int i = 0; i < STATE; ++i) {
             sum[i] = k1[i];
@@ -159,8 +159,8 @@ for (long p = begin; p < end; p += LANES) {
         }
         rate(next, k);
         for (int i = 0; i < STATE; ++i) x[i] += (h / 6.f) * (sum[i] + k[i]);
-        if (every || n + 1 < steps) rate(x, k1);
+        if (given.rates || n + 1 < steps) rate(x, k1);
     }
-    save(given.states, x, every ? steps : 0);
-    if (every) save(given.rates, k1, steps);
+    save(given.states, x, steps / every);
+    if (given.rates) save(given.rates, k1, steps / every);
 }

@@ -59,18 +59,47 @@ def knots(
     steps: int,
     *,
     jacobian: bool,
-    every: bool = True,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """States and rates after 0 … ``steps`` Runge-Kutta steps of size h, on all of torch's threads.
 
-    ``u`` (m, dim) as ``takes`` wants it. -> twice (steps + 1, m, dim or dim + dim²); where not
-    ``every``, only the last state (1, m, …) and rates that mean nothing.
+    ``u`` (m, dim) as ``takes`` wants it. -> twice (steps + 1, m, dim or dim + dim²).
     """
+    states = torch.empty(steps + 1, *_state(u, jacobian))
+    rates = torch.empty_like(states)
+    _run(field, u, h, steps, jacobian, states, rates)
+    return states, rates
+
+
+def states(
+    field: SplineField | SirenField,
+    u: torch.Tensor,
+    h: float,
+    steps: int,
+    *,
+    jacobian: bool,
+    every: int,
+) -> torch.Tensor:
+    """The states of ``knots`` after each ``every`` steps, of which ``steps`` is a multiple."""
+    found = torch.empty(steps // every + 1, *_state(u, jacobian))
+    _run(field, u, h, steps, jacobian, found, None)
+    return found
+
+
+def _state(u: torch.Tensor, jacobian: bool) -> tuple[int, int]:
     count, dim = u.shape
-    state = dim + dim * dim * jacobian
-    saved = steps + 1 if every else 1
-    states = torch.empty(saved, count, state)
-    rates = torch.empty_like(states) if every else states
+    return count, dim + dim * dim * jacobian
+
+
+def _run(
+    field: SplineField | SirenField,
+    u: torch.Tensor,
+    h: float,
+    steps: int,
+    jacobian: bool,
+    states: torch.Tensor,
+    rates: torch.Tensor | None,
+) -> None:
+    count, dim = u.shape
     if isinstance(field, SplineField):
         base, network, width = field, torch.zeros(1), 0
     else:
@@ -80,13 +109,13 @@ def knots(
         for tensor in (u, base.affine, torch.cat([base.centers, base.weights], 1), network)
     ]
     arguments = _Arguments(
-        *(array.data_ptr() for array in (*arrays, states, rates)),
-        *(count, len(base.centers), width, steps, every),
+        *(array.data_ptr() for array in (*arrays, states)),
+        None if rates is None else rates.data_ptr(),
+        *(count, len(base.centers), width, steps, steps // (len(states) - 1)),
         *(base.rounding**2, h),
     )
     parts = 1 if count < WORTH_SHARING else torch.get_num_threads()
     _program(dim, jacobian).run(arguments, parts)
-    return states, rates
 
 
 def _packed(field: SirenField) -> torch.Tensor:
