@@ -26,6 +26,9 @@ from splatmorph.morph.agreement.views import SIZE, views_of
 from splatmorph.morph.transport import Drift, drifted
 from splatmorph.rendering import bounds, renderer_arrays
 
+ALL_BUT_ONE = 1 - 2**-23
+"""The largest weight below 1 in single precision: at 1 itself a stack's exponent is infinite."""
+
 OnStep = Callable[[int, int], None]
 """Called with the steps done and the steps in all."""
 
@@ -62,8 +65,8 @@ class Agreement:
         """How much of each splat is left when ``weight`` in (0, 1) of the half is: (n,)."""
         # The lead is that of the middle: towards the ends each half is whole.
         swing = (4 * weight * (1 - weight)) ** 2
-        odds = torch.logit(torch.tensor(weight, dtype=torch.float64)) + swing * self.lead.logit()
-        return fade.exponents(odds.sigmoid(), self.density.double()).float()
+        odds = swing * self.lead.logit() + math.log(weight / (1 - weight))
+        return fade.exponents(odds.sigmoid().clamp_max(ALL_BUT_ONE), self.density)
 
 
 class Meeting:
