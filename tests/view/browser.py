@@ -10,10 +10,10 @@ import shutil
 import signal
 import tempfile
 import time
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from driven import Driven
 from PIL import Image
 
 FLAGS = (
@@ -40,8 +40,10 @@ def find_browser() -> str | None:
     return given or shutil.which("chromium") or shutil.which("google-chrome")
 
 
-class Browser:
+class Browser(Driven):
     """One page in a browser of its own, cut off from the network unless ``offline`` is False."""
+
+    patience = PATIENCE
 
     def __init__(self, program: str, width: int, height: int, *, offline: bool = True) -> None:
         self.profile = tempfile.mkdtemp(prefix="splatmorph-browser-")
@@ -119,31 +121,11 @@ class Browser:
         *whole, self.unread = (self.unread + arrived).split(b"\0")
         return [json.loads(message) for message in whole]
 
-    def open(self, path: Path, fragment: str = "") -> None:
-        """Load a page from disk and wait until it has drawn and come to rest."""
-        self.visit(f"{path.resolve().as_uri()}#{fragment}")
-        self.rest()
-
     def visit(self, address: str) -> None:
         """Go to an address, all that was heard before forgotten."""
         self.call("Page.navigate", url="about:blank")
         self.events.clear()
         self.call("Page.navigate", url=address)
-
-    def rest(self) -> None:
-        """Wait until the picture stands still in full quality, or the page says what is wrong."""
-        self.wait(
-            "document.documentElement?.dataset.drawn === 'still'"
-            " || document.querySelector('#waiting.failed')"
-        )
-
-    def wait(self, condition: str) -> None:
-        """Wait until a JavaScript expression is true."""
-        deadline = time.monotonic() + PATIENCE
-        while not self.evaluate(f"Boolean({condition})"):
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"the page never reached: {condition}")
-            time.sleep(0.02)
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression, promises awaited."""
@@ -158,6 +140,11 @@ class Browser:
         """The page as it is now, (height, width, 3) uint8."""
         data = self.call("Page.captureScreenshot", format="png")["data"]
         return np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+
+    def click(self, x: float, y: float) -> None:
+        """Press and release the mouse, in CSS pixels."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def complaints(self) -> list[str]:
         """Console errors and warnings, exceptions and refused requests since ``open``."""

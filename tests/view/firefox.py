@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import contextlib
 import io
 import json
 import os
@@ -13,10 +14,12 @@ import struct
 import subprocess
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from driven import Driven
 from PIL import Image
 
 PATIENCE = 90.0
@@ -36,10 +39,36 @@ def find_firefox() -> str | None:
     return given or shutil.which("firefox-esr") or shutil.which("firefox")
 
 
-class Firefox:
-    """One page in a browser of its own."""
+@contextlib.contextmanager
+def virtual_display() -> Iterator[str | None]:
+    """An X server in memory while the block runs; None where there is no Xvfb."""
+    program = shutil.which("Xvfb")
+    if program is None:
+        yield None
+        return
+    read, write = os.pipe()
+    server = subprocess.Popen(
+        [program, "-displayfd", str(write), "-nolisten", "tcp", "-screen", "0", "1600x1200x24"],
+        pass_fds=[write],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    os.close(write)
+    with os.fdopen(read) as told:
+        number = told.readline().strip()
+    try:
+        yield f":{number}"
+    finally:
+        server.terminate()
+        server.wait()
 
-    def __init__(self, program: str, width: int, height: int) -> None:
+
+class Firefox(Driven):
+    """One page in a browser of its own, ``display`` that of an X server: without one, no WebGL."""
+
+    patience = PATIENCE
+
+    def __init__(self, program: str, width: int, height: int, display: str | None = None) -> None:
         self.profile = tempfile.mkdtemp(prefix="splatmorph-firefox-")
         lines = [f"user_pref({json.dumps(k)}, {json.dumps(v)});" for k, v in PREFERENCES.items()]
         Path(self.profile, "user.js").write_text("\n".join(lines), encoding="utf-8")
@@ -54,6 +83,7 @@ class Firefox:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             start_new_session=True,
+            env=os.environ | ({"DISPLAY": display} if display else {}),
         )
         self.requested, self.unread = 0, b""
         self.line = self._connected()
@@ -149,14 +179,6 @@ class Firefox:
         if answer["type"] == "exception":
             raise RuntimeError(json.dumps(answer["exceptionDetails"]["text"]))
         return json.loads(answer["result"]["value"])
-
-    def wait(self, condition: str) -> None:
-        """Wait until a JavaScript expression is true."""
-        deadline = time.monotonic() + PATIENCE
-        while not self.evaluate(f"Boolean({condition})"):
-            if time.monotonic() > deadline:
-                raise TimeoutError(f"the page never reached: {condition}")
-            time.sleep(0.1)
 
     def click(self, x: float, y: float) -> None:
         """Press and release the mouse."""

@@ -15,8 +15,8 @@ import torch
 from browser import Browser, find_browser
 from hypothesis import given
 from hypothesis import strategies as st
+from page_cases import GROUND, our_picture, psnr
 
-from renderer import rasterize
 from splatmorph.errors import OptionError, WriteError
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
@@ -30,7 +30,6 @@ from splatmorph.view.page.coding import Table, along_curve, one_block
 from splatmorph.view.scene import Scene
 from splatmorph.view.subject import NO_POINTS, Subject, thin
 
-GROUND = (0.1, 0.1, 0.12)
 HOSTILE = "</script><script>document.title='owned'</script><img src=x onerror=alert(1)>{{scene}}"
 
 
@@ -231,31 +230,6 @@ def browser(browsers: list[Browser]) -> Browser:
     return browsers[0]
 
 
-def psnr(a: np.ndarray, b: np.ndarray) -> float:
-    return float(-10 * np.log10(np.square(a.astype(float) - b).mean()))
-
-
-def our_picture(browser: Browser, splats: Gaussians) -> np.ndarray:
-    """Our rasterizer's picture from where the page's camera stands."""
-    view = browser.evaluate("splatmorph.view()")
-    viewmat = np.eye(4)
-    viewmat[:3, :3], viewmat[:3, 3] = view["rows"], view["shift"]
-    (cx, cy), f = view["middle"], view["focal"]
-    rgb, _, _ = rasterize(
-        splats.means.numpy(),
-        splats.quats.numpy(),
-        splats.scales.numpy(),
-        splats.opacities.numpy(),
-        splats.sh.numpy(),
-        viewmat,
-        np.array([[f, 0, cx], [0, f, cy], [0, 0, 1]]),
-        view["width"],
-        view["height"],
-        background=GROUND,
-    )
-    return np.asarray(rgb).clip(0, 1)
-
-
 class TestPicture:
     @pytest.mark.parametrize("covariance", ["fixed", "rotate", "full"])
     def test_it_is_the_rasterizers(self, browser, tmp_path, covariance):
@@ -431,42 +405,6 @@ class TestHands:
         browser.wait("splatmorph.state.t > 0.3")
         browser.evaluate("document.getElementById('play').click()")
         assert not browser.evaluate("splatmorph.state.playing")
-        assert browser.complaints() == []
-
-    def test_every_button_and_the_link_that_brings_the_view_back(self, browser, tmp_path):
-        write_page(tmp_path / "a.html", scene(200))
-        browser.open(tmp_path / "a.html", "t=0.3")
-        for name, key in (
-            ("spin", "spin"),
-            ("marks", "marks"),
-            ("loop", "loop"),
-            ("play", "playing"),
-        ):
-            before = browser.evaluate(f"splatmorph.state.{key}")
-            browser.evaluate(f"document.getElementById('{name}').click()")
-            assert browser.evaluate(f"splatmorph.state.{key}") is not before, name
-        browser.evaluate("splatmorph.set({ spin: false, playing: false, t: 0.25, speed: 2 })")
-        for name in ("ground", "home", "copy", "save", "fullscreen", "help"):
-            browser.evaluate(f"document.getElementById('{name}').click()")
-        assert browser.evaluate("document.getElementById('keys').open")
-        browser.evaluate("document.getElementById('keys').close()")
-        browser.rest()
-        link = browser.evaluate("location.hash.slice(1)")
-        for part in ("t=0.25", "speed=2", "landmarks=1", "loop=0", "ground="):
-            assert part in link
-        browser.open(tmp_path / "a.html", link)
-        state = browser.evaluate("splatmorph.state")
-        assert (state["t"], state["speed"], state["marks"], state["loop"]) == (0.25, 2, True, False)
-        assert browser.complaints() == []
-
-    def test_a_video_is_recorded_and_a_print_lists_the_landmarks(self, browser, tmp_path):
-        write_page(tmp_path / "a.html", scene(100))
-        browser.open(tmp_path / "a.html", "speed=8")
-        if not browser.evaluate("document.getElementById('record').hidden"):
-            browser.evaluate("document.getElementById('record').click()")
-            browser.wait("document.getElementById('toast').textContent === 'Video saved'")
-        browser.evaluate("dispatchEvent(new Event('beforeprint'))")
-        assert browser.evaluate("document.querySelectorAll('#paper tr').length") == 6
         assert browser.complaints() == []
 
     def test_dragging_turns_and_the_wheel_zooms(self, browser, tmp_path):

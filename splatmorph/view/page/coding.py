@@ -48,10 +48,11 @@ class Table:
         return [self.values.dtype.str[1:], rows, columns, int(self.delta), self.stride, self.times]
 
 
-def one_block(tables: Mapping[str, Table], level: int = 9) -> tuple[dict[str, list[Any]], str]:
+def one_block(tables: Mapping[str, Table], level: int = 7) -> tuple[dict[str, list[Any]], str]:
     """The facts of each table in their order, and all of them deflated and in base64.
 
-    ``level`` is deflate's: 9 for the smallest file, 1 for what is read once and at once.
+    ``level`` is deflate's: 9 makes a file 1 % smaller than 7 in six times the time, 1 is for
+    what is read once and at once.
     """
     block = b"".join(table.folded() for table in tables.values())
     facts = {name: table.facts() for name, table in tables.items()}

@@ -210,7 +210,11 @@ function keysOf(player, actions) {
   };
 }
 
+// The poster is painted before the splats are unpacked, which takes the browser whole.
+const painted = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+
 try {
+  await painted();
   start(await readScene((share) => { $("progress").value = share; }));
   $("waiting").remove();
 } catch (error) {

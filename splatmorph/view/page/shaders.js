@@ -145,12 +145,14 @@ out vec2 at;
 out vec4 tint;
 ivec2 texel(int i) { return ivec2(i % ${TEXTURE_WIDTH}, i / ${TEXTURE_WIDTH}); }
 void main() {
-  ivec2 own = texel(int(texelFetch(uOrder, texel(gl_VertexID >> 2), 0).r));
+  ivec2 own = texel(int(texelFetch(uOrder, texel(gl_VertexID / 3), 0).r));
   vec4 outline = uintBitsToFloat(texelFetch(uOutline, own, 0));
   uvec4 shade = texelFetch(uShade, own, 0);
   float shorter = uintBitsToFloat(shade.x), opacity = uintBitsToFloat(shade.y);
   float reach = sqrt(max(0.0, 2.0 * log(255.0 * opacity)));
-  at = (vec2(gl_VertexID & 1, (gl_VertexID >> 1) & 1) * 2.0 - 1.0) * reach;
+  // Of the triangle round the unit circle.
+  int corner = gl_VertexID % 3;
+  at = (corner == 2 ? vec2(0.0, 2.0) : vec2(corner == 0 ? -1.7320508 : 1.7320508, -1.0)) * reach;
   tint = vec4(unpackHalf2x16(shade.z), unpackHalf2x16(shade.w).x, opacity);
   vec2 longer = outline.zw;
   vec2 pixel = outline.xy + at.x * longer + at.y * shorter * normalize(vec2(-longer.y, longer.x));
