@@ -25,6 +25,7 @@ from splatmorph.morph.agreement.neighbours import Neighbours
 from splatmorph.morph.agreement.views import SIZE, views_of
 from splatmorph.morph.transport import Drift, drifted
 from splatmorph.rendering import bounds, renderer_arrays
+from splatmorph.steady import one_thread
 
 ALL_BUT_ONE = 1 - 2**-23
 """The largest weight below 1 in single precision: at 1 itself a stack's exponent is infinite."""
@@ -152,6 +153,7 @@ def _on_cpu(gaussians: Gaussians) -> Gaussians:
     return Gaussians(**fields)
 
 
+@one_thread()
 @torch.no_grad()
 def agree(
     rest: Sequence[Gaussians],
@@ -174,6 +176,7 @@ def agree(
     return [Agreement(*parts) for parts in zip(meeting.drifts, leads, densities, strict=True)]
 
 
+@one_thread()
 @torch.no_grad()
 def agreed_parts(
     parts: Sequence[Gaussians],
