@@ -129,7 +129,7 @@ def main() -> None:
     parser.add_argument("--axe", type=Path)
     args = parser.parse_args()
     axe = args.axe.read_text(encoding="utf-8") if args.axe else None
-    scenes = {run.name: open_scene(run, stay=True) for run in args.runs}
+    scenes = {run.name: open_scene(run) for run in args.runs}
     with tempfile.TemporaryDirectory() as folder:
         for name, scene in (scenes or {"sample pair": sample_scene()}).items():
             for most in args.splats:

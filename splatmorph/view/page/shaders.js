@@ -1,4 +1,4 @@
-// The shaders: one works out every splat once, one spans its quad, one draws the profile.
+// The shaders: one works out every splat once, one spans its triangle, one draws the profile.
 
 const TEXTURE_WIDTH = 2048;
 const MAX_MOVES = 8;
