@@ -23,6 +23,17 @@ VISERS_OWN = "computeBoundingSphere"
 """viser 1.1 gives the corners of its splats two coordinates, whatever it is sent; three.js remarks
 that the third is no number, and draws them."""
 
+STANDS_STILL = """new Promise((done) => {{
+  let last;
+  const look = () => {{
+    const now = JSON.stringify(document.getElementById("{name}").getBoundingClientRect());
+    if (now === last) return done(0);
+    last = now;
+    setTimeout(look, 200);
+  }};
+  look();
+}})"""
+
 
 class Look:
     """A viewer that goes on, and a browser at it."""
@@ -44,11 +55,7 @@ class Look:
             "[...document.querySelectorAll('label')]"
             f".find((one) => one.textContent === {label!r}).htmlFor"
         )
-        self.browser.wait(
-            f"(({{ left, top, width, height }}) => document.elementFromPoint(left + width / 2, "
-            f"top + height / 2)?.parentElement?.querySelector('[id=\"{name}\"]'))"
-            f"(document.getElementById('{name}').getBoundingClientRect())"
-        )
+        self.browser.evaluate(STANDS_STILL.format(name=name))
         self.browser.press(f"*:has(> [id='{name}'])")
 
     def until(self, condition: str) -> None:
