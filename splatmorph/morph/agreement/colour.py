@@ -83,24 +83,27 @@ def change(
         tick: called after each round.
     """
     arrays = renderer_arrays(part)
-    sums = torch.zeros(len(part), 5)
-    for view, own, wanted in zip(views, mine, goals, strict=True):
+    turns = torch.zeros(2, len(part), 5)
+    for k, (view, own, wanted) in enumerate(zip(views, mine, goals, strict=True)):
         whole = torch.ones_like(wanted.same)
-        sums += view.gather(arrays, [wanted.same, whole, *_missing(wanted, own)])
+        turns[k % 2] += view.gather(arrays, [wanted.same, whole, *_missing(wanted, own)])
+    sums = turns.sum(0)
     total, seen = sums[:, :2].unbind(1)
     trust = (total / (total + ALONE * seen + 1e-3))[:, None]
     sure = (total / (total + UNSURE))[:, None]
     changed = torch.zeros(len(part), 3)
-    step = sums[:, 2:]
-    for left in reversed(range(ROUNDS)):
-        step = step / total.clamp_min(1e-6)[:, None]
+    step, times = sums[:, 2:], total
+    for done in range(ROUNDS):
+        step = step / times.clamp_min(1e-6)[:, None]
         nearby = around.means(step, sure[:, 0])
         changed += PUSH * trust * torch.lerp(nearby, step, sure)
         tick()
-        if left:
+        if done + 1 < ROUNDS:
+            # Further rounds look from every other side in turn, which tells them as much.
+            turn = slice(done % 2, None, 2)
             coloured = renderer_arrays(recoloured(part, changed))
-            step = torch.zeros(len(part), 3)
-            for view, wanted in zip(views, goals, strict=True):
+            step, times = torch.zeros(len(part), 3), turns[done % 2, :, 0]
+            for view, wanted in zip(views[turn], goals[turn], strict=True):
                 step += view.gather(arrays, _missing(wanted, view.picture(coloured)))
     return changed, trust[:, 0]
 
