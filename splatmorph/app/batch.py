@@ -1,9 +1,9 @@
-"""``splatmorph batch``: Fit many pairs that a table names, each into a run of its own."""
+"""``splatmorph batch``: Morph many pairs that a table names, on one process or on many."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,14 +11,53 @@ from cyclopts import Parameter
 
 from splatmorph.app import console
 from splatmorph.app.fit import FittingOptions, PosingOptions
-from splatmorph.app.options import Auto, Device, Json, Out, Overwrite, choose_device
-from splatmorph.errors import FitError, SplatmorphError
+from splatmorph.app.options import Auto, Device, Json, Out, Overwrite
+from splatmorph.errors import FitError, OptionError
 from splatmorph.runs.settings import DEFAULT_FITTING, DEFAULT_POSING, Finding
 
 if TYPE_CHECKING:
+    from splatmorph.app.rows import Task
     from splatmorph.runs.batch import Result
 
-SUMMARY = "summary.csv"
+SUMMARY, PAGE = "summary.csv", "summary.html"
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True)
+class Steps:
+    """What is made of each row: the options of that command, as one text ('' for none)."""
+
+    render: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    """Render each run; '--t 0.5 -o .png' makes NAME.png, by default NAME.mp4."""
+    export: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    """Export each run; '-o .spz --t 0.5' makes NAME.spz, by default NAME-frames."""
+    eval: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    """Measure each run into NAME-eval.json."""
+    image: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    """How pictures are morphed; '--warp ncf -o .mp4' makes NAME.mp4, by default NAME.png."""
+
+    def words(self) -> dict[str, str]:
+        """Those that are asked for."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+
+@Parameter(name="*")
+@dataclasses.dataclass(frozen=True)
+class Engine:
+    """Where rows are worked on; by default here, one after the other."""
+
+    workers: int | None = None
+    """So many processes of this machine, which share its cores."""
+    scheduler: str | None = None
+    """The address of a scheduler of dask.distributed whose workers do it, tcp://HOST:8786.
+    They run what it tells them: give only one that you trust."""
+
+    def __post_init__(self) -> None:
+        if self.workers is not None and self.scheduler is not None:
+            raise OptionError("give `workers` or `scheduler`, not both")
+
+
+DEFAULT_STEPS, DEFAULT_ENGINE = Steps(), Engine()
 
 
 def batch(
@@ -26,7 +65,7 @@ def batch(
         Path,
         Parameter(
             help="A CSV file with the columns source and target, and if need be source_landmarks, "
-            "target_landmarks and name; its paths start from its folder."
+            "target_landmarks, name and kind (splats or pictures); its paths start from its folder."
         ),
     ],
     /,
@@ -35,60 +74,108 @@ def batch(
     fitting: FittingOptions = DEFAULT_FITTING,
     posing: PosingOptions = DEFAULT_POSING,
     auto: Auto = True,
+    steps: Steps = DEFAULT_STEPS,
+    engine: Engine = DEFAULT_ENGINE,
     device: Device = "cpu",
     overwrite: Overwrite = False,
     json: Json = False,
 ) -> int:
-    """Fit every pair of a table into a folder of runs, and sum them up in summary.csv.
+    """Fit every pair of a table into a folder of runs, and sum them up in summary.csv and .html.
 
     A pair that is wrong doesn't stop the others. The same command again goes on where it was
-    stopped: runs of the same inputs and options are kept; those of others need -w. Exits with 3
-    where none failed but many landmarks of a pair are missed by far.
+    stopped: what was made of the same inputs and options is kept; that of others needs -w. Exits
+    with 3 where none failed but many landmarks of a pair are missed by far.
     """
+    from splatmorph.app.rows import Asked, Task
     from splatmorph.io.atomic import make_folder
-    from splatmorph.runs.batch import Result, fit_row, read_rows, write_summary
+    from splatmorph.runs.batch import alone, read_rows
+    from splatmorph.runs.summary import write_page, write_summary
 
-    rows, finding = read_rows(pairs), Finding(auto)
-    folder = make_folder(out or Path(f"{pairs.stem}-runs"))
-    results: list[Result] = []
-    try:
-        for number, row in enumerate(rows, 1):
-            console.note(f"{number}/{len(rows)} {row.name}")
-            try:
-                with console.fitting() as on_step:
-                    result = fit_row(
-                        row,
-                        folder / f"{row.name}.run",
-                        fitting,
-                        posing,
-                        finding,
-                        device=choose_device(device),
-                        overwrite=overwrite,
-                        on_step=on_step,
-                        on_warning=console.warn,
-                    )
-                results.append(result)
-            except SplatmorphError as error:
-                console.fail(f"{row.name}: {error}")
-                results.append(Result(row.name, "failed", message=console.spoken(error)))
-    finally:
-        write_summary(folder / SUMMARY, results)
+    rows = read_rows(pairs)
+    asked = Asked(fitting, posing, Finding(auto), steps.words(), device, overwrite)
+    folder = make_folder(out or Path(f"{pairs.stem}-runs")).absolute()
+    shown = out or Path(f"{pairs.stem}-runs")
+    tasks = [Task(row, folder, asked) for row in rows]
+    done: dict[int, Result] = {}
+    with alone(folder):
+        try:
+            for number, result in _results(tasks, engine, json):
+                done[number] = result
+                if result.status == "failed":
+                    console.fail(f"{result.name}: {result.message}")
+        finally:
+            results = [done[number] for number in sorted(done)]
+            write_summary(folder / SUMMARY, results)
+            write_page(folder / PAGE, results, pairs.stem)
     if json:
         console.emit_json({"pairs": [dataclasses.asdict(result) for result in results]})
     else:
         console.say(_table(results))
         console.say("")
-        console.say(f"wrote {folder / SUMMARY}")
+        console.say(f"wrote {shown / SUMMARY}")
+        console.say(f"wrote {shown / PAGE}")
+    return _verdict(results, shown / SUMMARY)
+
+
+def _results(tasks: Sequence[Task], engine: Engine, json: bool) -> Iterator[tuple[int, Result]]:
+    """Which row is done, and what became of it, as they come."""
+    if engine == DEFAULT_ENGINE:
+        yield from _one_by_one(tasks, json)
+        return
+    from splatmorph.app.rows import work_silently
+    from splatmorph.runs.batch import Result
+    from splatmorph.runs.cluster import Lost, gather, local_cluster, remote_cluster
+
+    if engine.scheduler is None:
+        cluster = local_cluster(min(engine.workers or 1, len(tasks)))
+    else:
+        cluster = remote_cluster(engine.scheduler, tasks[0].folder)
+    with cluster as client, console.progress("pairs") as update:
+        update(0, len(tasks), "")
+        for count, (number, answer) in enumerate(gather(client, work_silently, tasks), 1):
+            name = tasks[number].row.name
+            if isinstance(answer, Lost):
+                result = Result(name, "failed", message=answer.reason)
+            else:
+                result, warnings = answer
+                for warning in warnings:
+                    console.warn(f"{name}: {warning}")
+            console.note(f"{count}/{len(tasks)} {name} {result.status}")
+            update(count, len(tasks), "")
+            yield number, result
+
+
+def _one_by_one(tasks: Sequence[Task], json: bool) -> Iterator[tuple[int, Result]]:
+    from splatmorph.app.rows import work, work_silently
+
+    for number, task in enumerate(tasks):
+        console.note(f"{number + 1}/{len(tasks)} {task.row.name}")
+        if json:  # of which nothing else may be printed
+            result, warnings = work_silently(task)
+            for warning in warnings:
+                console.warn(f"{task.row.name}: {warning}")
+            yield number, result
+            continue
+        with console.fitting() as on_step:
+            yield number, work(task, on_step, console.warn)
+
+
+def _verdict(results: Sequence[Result], summary: Path) -> int:
+    """The exit code.
+
+    Raises:
+        FitError: a row failed.
+    """
     failed = [result.name for result in results if result.status == "failed"]
     if failed:
         raise FitError(
-            f"{len(failed)} of {len(rows)} pairs failed ({', '.join(failed[:5])}"
-            f"{', …' if len(failed) > 5 else ''}), {folder / SUMMARY} says why: mend them and give "
+            f"{len(failed)} of {len(results)} pairs failed ({', '.join(failed[:5])}"
+            f"{', …' if len(failed) > 5 else ''}), {summary} says why: mend them and give "
             "the same command again"
         )
     missed = [result.name for result in results if result.status == "missed"]
     for name in missed:
-        console.warn(f"{name} misses many of its landmarks by far; {folder / SUMMARY} says which")
+        console.warn(f"{name} misses many of its landmarks by far; {summary} says which")
     return console.MISSED if missed else 0
 
 
@@ -97,16 +184,10 @@ def _table(results: Sequence[Result]) -> Any:
     # A name is needed in full, to type it.
     made.columns[0].overflow = "fold"
     for one in results:
-        if one.status == "failed":
-            made.add_row(one.name, one.status)
-            continue
-        made.add_row(
-            one.name,
-            one.status,
-            str(one.landmarks),
-            f"{one.rms_error:.3g}",
-            f"{one.worst_error:.3g}",
-            f"{one.det_min:.3g}",
-            f"{one.seconds:.1f} s",
-        )
+        numbers = [
+            "" if value is None else f"{value:.3g}"
+            for value in (one.landmarks, one.rms_error, one.worst_error, one.det_min)
+        ]
+        took = "" if one.seconds is None else f"{one.seconds:.1f} s"
+        made.add_row(one.name, one.status, *numbers, took)
     return made

@@ -133,6 +133,17 @@ def listen() -> None:
             log.propagate = False
 
 
+@contextlib.contextmanager
+def silence() -> Iterator[None]:
+    """Print nothing at all: where a command is called for its output only."""
+    before = out.quiet, err.quiet
+    out.quiet = err.quiet = True
+    try:
+        yield
+    finally:
+        out.quiet, err.quiet = before
+
+
 def emit_json(value: Mapping[str, object]) -> None:
     """Print one JSON document for a machine to read, whatever the manner."""
     out.print_json(json.dumps(value, allow_nan=False, default=str), indent=2, highlight=False)

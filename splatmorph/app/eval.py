@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import Json, RunPath
+from splatmorph.app.options import Json, Out, Overwrite, RunPath
 
 WORST_SHOWN = 5
 
@@ -24,19 +24,31 @@ def eval(
             "or .csv of six columns x, y, z, x, y, z."
         ),
     ] = None,
+    out: Out = None,
+    overwrite: Overwrite = False,
     json: Json = False,
 ) -> None:
-    """Measure a run: landmark errors, flow laws, folding, energies."""
+    """Measure a run: landmark errors, flow laws, folding, energies.
+
+    -o keeps what --json prints in a file.
+    """
+    from splatmorph.io.atomic import write_json
     from splatmorph.runs import open_run
     from splatmorph.runs.measuring import measure, read_pairs
 
+    if out is not None:
+        console.claim(out, overwrite)
     pairs = None if held_out is None else read_pairs(held_out)
     legs = measure(open_run(run), pairs)
+    if out is not None:
+        write_json(out, {"run": str(run), "legs": legs})
     if json:
         console.emit_json({"run": str(run), "legs": legs})
     else:
         for leg in legs:
             _print(leg)
+        if out is not None:
+            console.say(f"wrote {out}")
 
 
 def _print(measured: dict[str, Any]) -> None:

@@ -85,6 +85,9 @@ def image(
     grid: Annotated[
         Path | None, Parameter(help="Write the warped grid with the landmarks there.")
     ] = None,
+    report: Annotated[
+        Path | None, Parameter(help="Write what --json prints of the fit there.")
+    ] = None,
     seed: Seed = 0,
     max_pixels: Annotated[int, Parameter(help="Most pixels of a picture.")] = 50_000_000,
     json: Json = False,
@@ -98,15 +101,25 @@ def image(
     import torch
 
     from renderer import check_output, write_image
-    from splatmorph.app.imaging import blend_of, say_standing, summarise, warp_of, write_morph
+    from splatmorph.app.imaging import (
+        blend_of,
+        described,
+        say_standing,
+        summarise,
+        warp_of,
+        write_morph,
+    )
     from splatmorph.images import Canvas, FlowWarp, ImageMorph, Picture
     from splatmorph.images.delaunay import DelaunayWarp
     from splatmorph.images.draw import contact_sheet, warped_grid
+    from splatmorph.io.atomic import write_json
 
     path = out or Path(f"{source.stem}-{target.stem}.mp4")
     for written in (path, sheet, grid):
         if written is not None:
             check_output(console.claim(written, overwrite))
+    if report is not None:
+        console.claim(report, overwrite)
     count = 1 if path.suffix.lower() in STILLS else frames
     times = frame_times(t, count)
     pictures = (Picture.read(source, max_pixels), Picture.read(target, max_pixels))
@@ -114,7 +127,7 @@ def image(
     blend = blend_of(mixing)
     if mixing.blend == "generative":
         pictures = (pictures[0].with_channels(3), pictures[1].with_channels(3))
-    warp, pair, report = warp_of((source, target), pictures, pairing, warping, seed)
+    warp, pair, fitted = warp_of((source, target), pictures, pairing, warping, seed)
     morph = ImageMorph(*pictures, warp, canvas, blend, warping.interpolation, warping.edge)
     done = write_morph(morph, path, times, fps)
     if sheet is not None:
@@ -124,9 +137,15 @@ def image(
         empty = torch.empty(0, 2, dtype=torch.float64)
         matched = pair[0].match(pair[1])[:2] if pair else (empty, empty)
         write_image(grid, warped_grid(morph, *matched))
-    if report is not None and report.missed:
-        console.fail(report.status)
+    if fitted is not None and fitted.missed:
+        console.fail(fitted.status)
     if not json and isinstance(warp, FlowWarp | DelaunayWarp) and pair is not None:
         say_standing(warp.frame, pair[0].points, pictures[0].canvas.pixel)
-    summarise(morph, report, [p for p in (done, sheet, grid) if p is not None], json)
-    return console.MISSED if report is not None and report.missed else 0
+    measured = described(morph, fitted, [p for p in (done, sheet, grid) if p is not None])
+    if report is not None:
+        write_json(report, measured)
+    if json:
+        console.emit_json(measured)
+    else:
+        summarise(morph, fitted, measured)
+    return console.MISSED if fitted is not None and fitted.missed else 0

@@ -29,6 +29,7 @@ from splatmorph.images import (
 from splatmorph.images.blend import Blend
 from splatmorph.images.delaunay import DelaunayWarp
 from splatmorph.images.faces import detect_face
+from splatmorph.images.folding import least_area
 from splatmorph.images.generative import DiffusersAutoencoder, LatentBlend
 from splatmorph.images.refine import refined
 from splatmorph.landmarks import Landmarks
@@ -155,20 +156,22 @@ def say_standing(frame: Similarity, points: torch.Tensor, pixel: float) -> None:
         console.say(f"{said} (pixels)")
 
 
-def summarise(morph: ImageMorph, report: FitReport | None, written: list[Path], json: bool) -> None:
-    canvas = morph.output
-    warp = morph.warp
-    error = warp.lattice(canvas)[1] if isinstance(warp, FlowWarp) else None
-    if json:
-        console.emit_json(
-            {
-                "written": [str(path) for path in written],
-                "size": [canvas.width, canvas.height],
-                "fit": report.to_dict() if report else None,
-                "warp_error_pixels": error,
-            }
-        )
-        return
+def described(morph: ImageMorph, report: FitReport | None, written: list[Path]) -> dict[str, Any]:
+    """What is to say of a morph, in JSON's types."""
+    canvas, warp = morph.output, morph.warp
+    area = least_area(warp)
+    return {
+        "written": [str(path) for path in written],
+        "size": [canvas.width, canvas.height],
+        "fit": report.to_dict() if report else None,
+        "warp_error_pixels": warp.lattice(canvas)[1] if isinstance(warp, FlowWarp) else None,
+        "area_min": area.least,
+        "folded": area.folded,
+    }
+
+
+def summarise(morph: ImageMorph, report: FitReport | None, measured: dict[str, Any]) -> None:
+    canvas, error = morph.output, measured["warp_error_pixels"]
     if report is not None:
         before, after = (
             (2 * mse) ** 0.5 / canvas.pixel for mse in (report.mse_world_before, report.mse_world)
@@ -182,5 +185,7 @@ def summarise(morph: ImageMorph, report: FitReport | None, written: list[Path], 
             console.warn(warning)
     if error is not None:
         console.say(f"warped within {error:.2g} pixels of the flow")
-    for path in written:
+    if measured["folded"]:
+        console.warn(f"the warp folds over {measured['folded']:.1%} of the picture")
+    for path in measured["written"]:
         console.say(f"wrote {path}")

@@ -29,6 +29,7 @@ RANGES: Mapping[str, tuple[float, float]] = {
     "smoothing": (0, 1e6),
     "split": (1.001, 1000),
     "steps": (1, 1_000_000),
+    "workers": (1, 1024),
 }
 """By the option's name, both ends allowed."""
 

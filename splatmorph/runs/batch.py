@@ -1,19 +1,23 @@
-"""Many pairs that a table names: each a run of its own, and a summary of them all."""
+"""Many pairs that a table names: what each is, and what becomes of it."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import dataclasses
 import io
+import json
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from splatmorph.errors import OutputExistsError, ReadError, RunError
+from filelock import FileLock, Timeout
+
+from splatmorph.errors import OutputExistsError, ReadError, RunError, WriteError
 from splatmorph.io import stem_of
-from splatmorph.io.atomic import atomic_write
+from splatmorph.io.atomic import make_folder, write_json
 from splatmorph.io.reading import read_text, reading
 from splatmorph.runs.request import OnStep, OnWarning, Request, made_by_search
 from splatmorph.runs.run import MANIFEST, Run, open_run
@@ -22,7 +26,11 @@ from splatmorph.runs.state import has_state
 
 LANDMARKS = ("source_landmarks", "target_landmarks")
 PATHS = ("source", "target", *LANDMARKS)
-NAME = "name"
+NAME, KIND = "name", "kind"
+SPLATS, PICTURES = "splats", "pictures"
+ROWS = ".rows"
+"""The folder, in that of a batch, of what each row has done, and of the locks."""
+BEGUN, DONE = "begun", "done"
 
 
 @dataclass(frozen=True)
@@ -30,7 +38,9 @@ class Row:
     """A pair of the table."""
 
     name: str
-    """Of its run."""
+    """Of its run, and of what is made of it."""
+    kind: str
+    """splats or pictures."""
     line: int
     source: Path
     target: Path
@@ -44,20 +54,28 @@ class Result:
 
     name: str
     status: str
-    """fitted; kept, if it was there already; missed, if many landmarks are; or failed."""
+    """fitted; kept, if that was there already; missed, if many landmarks are; or failed."""
     landmarks: int | None = None
     rms_error: float | None = None
     """Root mean square distance of the landmarks."""
     worst_error: float | None = None
     """Of one landmark, at its worst t."""
     worst_landmark: str | None = None
+    mse: float | None = None
+    """Of the landmarks, a coordinate: the paper's metric, in world units²."""
     det_min: float | None = None
+    """Least determinant; of pictures, of the warps over the whole picture."""
+    folded: float | None = None
+    """Share of a picture that is turned over."""
     seconds: float | None = None
+    """Of the fit."""
     message: str = ""
     """Why it failed, or what is missed."""
+    files: tuple[str, ...] = ()
+    """What was made, in the folder of the batch."""
 
     @staticmethod
-    def of(name: str, status: str, report: Mapping[str, Any]) -> Result:
+    def of(name: str, status: str, report: Mapping[str, Any], dim: int = 3) -> Result:
         """The result that a fit's report says."""
         worst, error = next(iter(report["errors"].items()))
         missed = report["missed"]
@@ -66,9 +84,10 @@ class Result:
             "missed" if missed else status,
             message=report["status"] if missed else "",
             landmarks=report["landmarks"],
-            rms_error=(3 * report["mse_world"]) ** 0.5,
+            rms_error=(dim * report["mse_world"]) ** 0.5,
             worst_error=error,
             worst_landmark=worst,
+            mse=report["mse_world"],
             det_min=report["det_min"],
             seconds=report["seconds"],
         )
@@ -85,7 +104,7 @@ def read_rows(path: Path) -> list[Row]:
         reader = csv.DictReader(io.StringIO(text, newline=""), skipinitialspace=True)
         columns = reader.fieldnames = [column.strip() for column in reader.fieldnames or ()]
         lines = [(reader.line_num, cells) for cells in reader]
-    known = (*PATHS, NAME)
+    known = (*PATHS, NAME, KIND)
     repeated = len(set(columns)) < len(columns)
     if repeated or not {"source", "target"} <= set(columns) <= set(known):
         raise ReadError(
@@ -107,15 +126,21 @@ def read_rows(path: Path) -> list[Row]:
 def _row(path: Path, line: int, cells: Mapping[str | None, Any]) -> Row:
     if None in cells:
         raise ReadError(f"{path} has more cells than columns in line {line}: mend it")
-    given = {column: (cells.get(column) or "").strip() for column in (*PATHS, NAME)}
+    given = {column: (cells.get(column) or "").strip() for column in (*PATHS, NAME, KIND)}
     if not (given["source"] and given["target"]):
         raise ReadError(f"{path} names no source or no target in line {line}: mend it")
     name = given[NAME] or "-".join(stem_of(given[end]) for end in ("source", "target"))
     if Path(name).name != name or name.startswith("."):
         raise ReadError(f"{path} names the run '{name}' in line {line}, expected a file's name")
-    source, target = (path.parent / given[end] for end in ("source", "target"))
-    marks = (path.parent / given[side] if given[side] else None for side in LANDMARKS)
-    return Row(name, line, source, target, *marks)
+    kind = given[KIND] or SPLATS
+    if kind not in (SPLATS, PICTURES):
+        raise ReadError(
+            f"{path} says the kind '{kind}' in line {line}, expected {SPLATS} or {PICTURES}"
+        )
+    folder = path.absolute().parent
+    source, target = (folder / given[end] for end in ("source", "target"))
+    marks = (folder / given[side] if given[side] else None for side in LANDMARKS)
+    return Row(name, kind, line, source, target, *marks)
 
 
 def fit_row(
@@ -178,13 +203,79 @@ def _report_of(run: Path, is_it: Callable[[Run], bool]) -> Mapping[str, Any] | N
     return found.legs[0].report if is_it(found) else None
 
 
-def write_summary(path: Path, results: Sequence[Result]) -> None:
-    """A CSV file with a line a result.
+@contextlib.contextmanager
+def alone(folder: Path) -> Iterator[None]:
+    """A folder of runs that no other batch works in meanwhile.
 
-    Raises ``WriteError``.
+    Raises:
+        RunError: another one does.
+        WriteError: no lock can be made there.
     """
-    columns = [field.name for field in dataclasses.fields(Result)]
-    with atomic_write(path) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(columns)
-        writer.writerows(dataclasses.astuple(result) for result in results)
+    rows = make_folder(folder / ROWS)
+    lock = FileLock(rows / "batch.lock", timeout=0)
+    try:
+        lock.acquire()
+    except Timeout as error:
+        raise RunError(
+            f"another batch is at work in {folder}: wait for it, or give another `out`"
+        ) from error
+    except (OSError, NotImplementedError) as error:
+        raise WriteError(f"can't lock {folder}: {error}") from error
+    try:
+        yield
+    finally:
+        lock.release()
+
+
+@dataclass(frozen=True)
+class Record:
+    """What a row has done, kept beside the runs: so that the same command does it only once."""
+
+    path: Path
+
+    @staticmethod
+    @contextlib.contextmanager
+    def of(folder: Path, name: str) -> Iterator[Record]:
+        """That of a row, which only one process has at a time.
+
+        A worker may still be busy with a row when its batch has gone: it is waited for.
+        """
+        rows = make_folder(folder / ROWS)
+        with FileLock(rows / f"{name}.lock"):
+            yield Record(rows / f"{name}.json")
+
+    def has(self, step: str, asked: str, made: Path, overwrite: bool) -> bool:
+        """Whether ``made`` is what the step makes of what is ``asked``.
+
+        Raises:
+            OutputExistsError: it is something else, and may not be overwritten.
+        """
+        kept = self._steps().get(step)
+        if not made.exists() or kept == [asked, BEGUN]:
+            return False
+        if kept == [asked, DONE]:
+            return True
+        if not overwrite:
+            raise OutputExistsError(
+                f"{made} is of other inputs or options: give `overwrite` to make it anew, or "
+                "another name"
+            )
+        return False
+
+    def begin(self, step: str, asked: str) -> None:
+        """Note that what the step makes is now ours to replace."""
+        self._note(step, asked, BEGUN)
+
+    def end(self, step: str, asked: str) -> None:
+        """Note that the step is done."""
+        self._note(step, asked, DONE)
+
+    def _note(self, step: str, asked: str, state: str) -> None:
+        write_json(self.path, self._steps() | {step: [asked, state]})
+
+    def _steps(self) -> dict[str, Any]:
+        # Unreadable, it says nothing: then nothing is taken for ours.
+        with contextlib.suppress(OSError, ValueError):
+            found = json.loads(self.path.read_text(encoding="utf-8"))
+            return found if isinstance(found, dict) else {}
+        return {}

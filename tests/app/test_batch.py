@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from PIL import Image
 
 from splatmorph import io
 from splatmorph.app import console, run
@@ -209,3 +210,89 @@ def test_a_pair_that_misses_its_landmarks_by_far_is_told_and_kept(
     assert "a-b misses many of its landmarks by far" in err
     assert [row["status"] for row in summary("runs/summary.csv")] == ["missed", "fitted"]
     assert open_run("runs/a-b.run").legs[0].report["missed"]
+
+
+@pytest.fixture
+def pictures(splats: Path) -> Path:
+    """Two pictures with landmarks beside the splats."""
+    draw = torch.Generator().manual_seed(2)
+    for name in "de":
+        pixels = (torch.rand(24, 24, 3, generator=draw) * 255).to(torch.uint8)
+        Image.fromarray(pixels.numpy()).save(splats / f"{name}.png")
+        points = torch.rand(9, 2, generator=draw) * 0.1 + torch.cartesian_prod(
+            *[torch.tensor([-0.5, 0, 0.5])] * 2
+        )
+        Landmarks(points.double()).write(splats / f"{name}.landmarks.json")
+    return splats
+
+
+MIXED = ["splats,a.ply,b.ply", "pictures,d.png,e.png", "pictures,d.png,none.png", ",b.ply,c.ply"]
+ASKED = ("--render", "--t 0.5 -o .png --size 32x32", "--export", "--frames 2", "--eval", "")
+
+
+def outputs(folder: str) -> dict[str, bytes]:
+    """What a batch made that doesn't hold times."""
+    return {
+        str(path.relative_to(folder)): path.read_bytes()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.suffix in (".png", ".ply", ".safetensors", ".jpg")
+    }
+
+
+def test_rows_are_fitted_rendered_exported_and_measured(pictures: Path, batch: Batch) -> None:
+    pairs = table(pictures, *MIXED, columns="kind,source,target")
+    words = (*ASKED, "--image", "--size 24x24 --convention unit-xy", "-o", "out")
+    code, _, err = batch(pairs, *words)
+    assert code == 1
+    assert err.splitlines()[-1].startswith("error: 1 of 4 pairs failed (d-none)")
+    rows = {row["name"]: row for row in summary("out/summary.csv")}
+    assert rows["a-b"]["files"] == "a-b.run; a-b.png; a-b-frames; a-b-eval.json"
+    assert rows["d-e"]["files"] == "d-e.png; d-e.report.json"
+    for row in (rows["a-b"], rows["d-e"]):
+        assert all(Path("out", file).exists() for file in row["files"].split("; "))
+        assert Path("out/thumbnails", f"{row['name']}.jpg").is_file()
+    page = Path("out/summary.html").read_text()
+    assert "thumbnails/d-e.jpg" in page
+    assert "http" not in page
+    before = {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.p*")}
+    batch(pairs, *words)
+    assert [row["status"] for row in summary("out/summary.csv")] == ["kept"] * 2 + [
+        "failed",
+        "kept",
+    ]
+    assert before == {path: path.stat().st_mtime_ns for path in Path("out").rglob("*.p*")}
+    changed = ("--render", "--t 0.4 -o .png --size 32x32")
+    assert "a-b.png is of other inputs or options" in batch(pairs, *changed, "-o", "out")[2]
+    assert "other inputs" not in batch(pairs, *changed, "-o", "out", "-w")[2]
+
+
+def test_workers_make_the_same_bits(pictures: Path, batch: Batch) -> None:
+    pytest.importorskip("distributed")
+    pairs = table(pictures, *MIXED, columns="kind,source,target")
+    words = (*ASKED[:2], "--image", "--size 24x24 --convention unit-xy")
+    batch(pairs, *words, "-o", "one")
+    code, out, err = batch(pairs, *words, "-o", "two", "--workers", 2, "--json")
+    assert code == 1
+    assert "4/4 " in err
+    assert "error: d-none: " in err
+    assert [row["name"] for row in json.loads(out)["pairs"]] == ["a-b", "d-e", "d-none", "b-c"]
+    assert outputs("one") == outputs("two")
+    assert len(outputs("one")) == 8
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("--render", "--nonsense 1"), 1, "--render takes the options of that command"),
+        (("--render", "-o x/y.png"), 1, "expected what follows the name of each row's output"),
+        (("--image", "--frames 0"), 2, "--frames is 0"),
+        (("--export", "'"), 1, "No closing quotation"),
+        (("--workers", "0"), 2, "--workers is 0"),
+    ],
+)
+def test_steps_are_refused_before_any_work(
+    splats: Path, batch: Batch, words: tuple[str, str], code: int, said: str
+) -> None:
+    found, _, err = batch(table(splats, "a.ply,b.ply"), *words)
+    assert (found, said in err) == (code, True), err
+    assert not Path("pairs-runs").exists()
