@@ -7,6 +7,7 @@ import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
+from torch.nn.functional import embedding_bag
 
 from splatmorph.gaussians import Gaussians
 
@@ -49,9 +50,11 @@ class Neighbours:
 
     def sums(self, values: Tensor) -> Tensor:
         """Weighted sums (n, c) of the splats' values (m, c)."""
-        return torch.stack(
-            [(self.weights * column[self.index]).sum(1) for column in values.unbind(1)], 1
+        values = values.contiguous()
+        summed: Tensor = embedding_bag(
+            self.index, values, mode="sum", per_sample_weights=self.weights.to(values)
         )
+        return summed
 
     def means(self, values: Tensor, certainty: Tensor | None = None) -> Tensor:
         """Weighted means (n, c) of values (m, c), each as certain as (m,) says."""
