@@ -25,6 +25,18 @@ def test_native_paths_are_the_plain_ones(field: str, dim: int) -> None:
     assert torch.equal(native[2][3], x)
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_what_is_kept_of_a_path_is_what_lies_on_it(sign: int) -> None:
+    """Times a whole number of steps apart, of which nothing else is kept, beside others."""
+    flow = random_flow({"kind": "node"}, 3, 2)
+    x = points(flow, FEWEST + 5, 3, torch.float32)
+    times = [sign * k / 8 for k in range(1, 9)]
+    even = flow.trajectory_jacobian(x, times)
+    among_others = flow.trajectory_jacobian(x, [*times, 0.3])
+    for ours, theirs in zip(even, among_others, strict=True):
+        torch.testing.assert_close(ours, theirs[:-1], atol=1e-6, rtol=1e-6)
+
+
 def test_native_paths_are_the_same_on_any_number_of_threads() -> None:
     flow = random_flow({"kind": "node"}, 3, 1)
     x = points(flow, 3001, 1, torch.float32)
