@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 import renderer
 from renderer import ArgumentError, Bounds, Camera, CameraFileError, OutputError, RenderError
 from renderer.cameras import UPRIGHT
+from splatmorph.ahead import ahead
 from splatmorph.errors import OptionError, ReadError, SplatmorphError, WriteError
 from splatmorph.gaussians import Gaussians
 
 Colour = Sequence[float]
 Array = NDArray[np.float32]
+Arrays = tuple[Array, Array, Array, Array, Array]
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -76,8 +78,38 @@ def render(
     Raises:
         OptionError: a picture of no size, a camera or a splat that can't be drawn.
     """
+    return _picture(renderer_arrays(gaussians), camera, background, device)
+
+
+def pictures(
+    splats: Iterable[Gaussians],
+    cameras: Iterable[Camera],
+    *,
+    background: Colour | None = (1.0, 1.0, 1.0),
+    device: str = "cpu",
+) -> Iterator[NDArray[np.uint8]]:
+    """The picture of each splat before its camera, as ``render`` makes it, in order.
+
+    The next splat is made while this one is drawn; one that stands before several cameras, one
+    after the other, is prepared once.
+    """
+    for arrays, camera in zip(ahead(_all_arrays(splats)), cameras, strict=True):
+        yield _picture(arrays, camera, background, device)
+
+
+def _all_arrays(splats: Iterable[Gaussians]) -> Iterator[Arrays]:
+    shown, arrays = None, None
+    for splat in splats:
+        if arrays is None or splat is not shown:
+            shown, arrays = splat, renderer_arrays(splat)
+        yield arrays
+
+
+def _picture(
+    arrays: Arrays, camera: Camera, background: Colour | None, device: str
+) -> NDArray[np.uint8]:
     rgb, alpha, _ = rasterize(
-        *renderer_arrays(gaussians),
+        *arrays,
         camera.viewmat,
         camera.K,
         camera.width,
@@ -91,7 +123,7 @@ def render(
     return np.asarray(np.clip(rgb * 255 + 0.5, 0, 255).astype(np.uint8))
 
 
-def renderer_arrays(gaussians: Gaussians) -> tuple[Array, Array, Array, Array, Array]:
+def renderer_arrays(gaussians: Gaussians) -> Arrays:
     """means, quats, scales, opacities and sh as ``renderer.rasterize`` takes them."""
 
     def array(field: torch.Tensor) -> Array:

@@ -20,7 +20,7 @@ from splatmorph.errors import SplatmorphError
 
 HOUSE = Path(__file__).parents[1]
 ROOMS = (
-    ("_later", "_version", "errors", "steady"),
+    ("_later", "_version", "ahead", "errors", "steady"),
     ("geometry", "renderer", "timeline"),
     ("gaussians",),
     ("io", "rendering", "flows"),

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
@@ -60,7 +59,7 @@ def render(
     """
     from renderer import check_output, write_image, write_video
     from splatmorph.app.shots import cameras_of, sheet_of, shot_of
-    from splatmorph.rendering import render as render_frame
+    from splatmorph.rendering import pictures
 
     ending = "-sheet.png" if sheet else ".mp4"
     path = console.claim(out or Path(f"{what.resolve().stem}{ending}"), overwrite)
@@ -78,18 +77,13 @@ def render(
     shot = shot_of(what, t, count, blending.chosen(), drive)
     cameras = cameras_of(view, shot, count)
     with console.progress("rendering") as update:
-
-        def pictures() -> Iterator[Any]:
-            for splat, camera in zip(shot.splats, cameras, strict=True):
-                yield render_frame(
-                    splat, camera, background=background, device=choose_device(device)
-                )
+        drawn = pictures(shot.splats, cameras, background=background, device=choose_device(device))
 
         def on_frame(done: int, rate: float) -> None:
             update(done, count, f"{rate:.0f} frames a second")
 
         if kind in STILLS:
-            written = write_image(path, next(pictures()))
+            written = write_image(path, next(drawn))
         else:
-            written = write_video(path, pictures(), fps, on_frame=on_frame)
+            written = write_video(path, drawn, fps, on_frame=on_frame)
     console.say(f"wrote {written}")

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cached_property, partial
+from itertools import groupby
 from typing import NamedTuple, Protocol, TypeVar
 
 import torch
@@ -121,16 +122,21 @@ class Morph:
     def sequence(self, times: Sequence[float]) -> Iterator[Gaussians]:
         """The morphs at ``times``, in their order (any, repeats too), from one integration.
 
-        A splat that the flow carries to infinity raises ``NonFiniteError`` at that frame.
+        A time that comes twice in a row gives the same object. A splat that the flow carries to
+        infinity raises ``NonFiniteError`` at that frame.
         """
         check_times(times)
         ease = EASES[self.ease]
-        eased = [ease(t) for t in times]
+        alike = [(t, sum(1 for _ in same)) for t, same in groupby(map(ease, times))]
+        eased = [t for t, _ in alike]
         sources = self._half(self.source, eased, leaves=1)
         targets = self._half(self.aligned, [t - 1 for t in eased], leaves=-1)
         memory = Memory()
         halves = zip(sources, targets, eased, strict=True)
-        return (self._placed(source, target, t, memory) for source, target, t in halves)
+        frames = (self._placed(source, target, t, memory) for source, target, t in halves)
+        return (
+            frame for frame, (_, count) in zip(frames, alike, strict=True) for _ in range(count)
+        )
 
     @cached_property
     def aligned(self) -> Gaussians:

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from splatmorph import io
+from splatmorph.ahead import ahead
 from splatmorph.errors import OutputExistsError, ReadError, WriteError
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.io.atomic import make_folder, write_json
@@ -94,7 +95,7 @@ def export_sequence(
     left = [i for i in range(len(times)) if i not in done]
     coming = [times[i] for i in left]
     morph.prepare(coming, on_prepare)
-    frames = morph.sequence(coming)
+    frames = ahead(morph.sequence(coming))
     written: dict[int, dict[str, float]] = {}
     for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
         written[i] = _write_frame(files[i], frame, times[i], names, prune, up)
