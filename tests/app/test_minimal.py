@@ -70,6 +70,7 @@ def test_every_extra_that_is_named_can_be_installed() -> None:
     for path in (HOUSE / "splatmorph").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         named |= set(re.findall(r'MissingExtraError\("[^"]+", "(\w+)"', text))
+    assert {"view", "usd"} <= named
     project = tomllib.loads((HOUSE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     assert named <= set(project["optional-dependencies"])
 
