@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import doctest
+import importlib
 import re
 import subprocess
 import sys
@@ -31,6 +33,21 @@ def test_links_lead_somewhere(page: Path) -> None:
         if anchor:
             titles = re.findall(r"^#+ (.+)$", found.read_text(encoding="utf-8"), flags=re.M)
             assert anchor in map(slug, titles), f"{page.name} links to {link}"
+
+
+@pytest.mark.parametrize(
+    "module",
+    [
+        ".".join(path.relative_to(HOUSE).with_suffix("").parts).removesuffix(".__init__")
+        for package in ("splatmorph", "renderer")
+        for path in sorted((HOUSE / package).rglob("*.py"))
+        if re.search(r"^ +>>> ", path.read_text(encoding="utf-8"), flags=re.M)
+    ],
+)
+def test_the_docstrings_examples_hold(module: str) -> None:
+    tried = doctest.testmod(importlib.import_module(module))
+    assert tried.attempted
+    assert not tried.failed
 
 
 def test_every_page_is_in_the_navigation() -> None:

@@ -71,11 +71,12 @@ def fit(
 
     Exits with 3 where many landmarks are missed by far; the run is kept.
     """
-    from splatmorph.runs.request import Request, claim_run
+    from splatmorph.runs.request import Request, claim_run, flow_of, folder_of
     from splatmorph.runs.state import has_state
 
-    if out is not None:
-        claim_run(out, resume=resume, overwrite=overwrite)
+    flow_of(fitting)
+    folder = out or folder_of((source, target, *more), mean)
+    claim_run(folder, resume=resume, overwrite=overwrite)
     finding = Finding(auto, refine, **vars(searching), seed=fitting.seed)
     with console.progress("looking for landmarks") as update:
         asked = Request.of(
@@ -87,7 +88,6 @@ def fit(
             on_warning=console.warn,
             on_search=update,
         )
-    folder = out or asked.folder
     warnings: list[str] = []
     try:
         with console.fitting() as on_step:

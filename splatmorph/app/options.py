@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 from cyclopts import Parameter
 
@@ -20,10 +20,21 @@ Overwrite = Annotated[
 ]
 Json = Annotated[bool, Parameter(name="--json", negative="", help="Print JSON for machines.")]
 Seed = Annotated[int, Parameter(name="--seed", help="Seed of everything random.")]
-Device = Annotated[
-    str, Parameter(name="--device", help="auto, cpu or cuda:0; auto takes a GPU if there is one.")
-]
 
+
+def _device(type_: Any, value: str) -> None:
+    if not re.fullmatch(r"auto|cpu|cuda(:\d+)?", value):
+        raise ValueError(f"{value!r} is no device; write auto, cpu or cuda:0")
+
+
+Device = Annotated[
+    str,
+    Parameter(
+        name="--device",
+        help="auto, cpu or cuda:0; auto takes a GPU if there is one.",
+        validator=_device,
+    ),
+]
 
 LONGEST_SIDE, MOST_PIXELS = 1 << 15, 1 << 26
 """Of pictures that are made."""
@@ -165,7 +176,7 @@ TargetCrop = Annotated[
 class Searching:
     """How landmarks are looked for."""
 
-    method: str = "auto"
+    method: Literal["auto", "face", "surface"] = "auto"
     """auto (faces where both have one, then surfaces), face or surface."""
     count: Annotated[int, Parameter(name=["--count", "-n"])] = 400
     """Landmarks on the surfaces; those of a face come beside."""
@@ -179,20 +190,25 @@ DEFAULT_SEARCH = Searching()
 DEFAULT_SIZE = Size(512, 512)
 
 
+Blend = Literal["agree", "union"]
+Ramp = Literal["calibrated", "power", "linear"]
+Covariance = Literal["full", "rotate", "fixed"]
+
+
 @Parameter(name="*")
 @dataclass(frozen=True)
 class Blending:
     """How the halves of a morph are blended."""
 
-    blend: str | None = None
+    blend: Blend | None = None
     """How the halves meet: agree (the default; in colour and shape) or union, the paper's."""
     lead: float | None = None
     """How far a place is left to the half with more detail: 0 (evenly) to 3, 1 if not given."""
-    ramp: str | None = None
+    ramp: Ramp | None = None
     """How opacities fade: calibrated (the default), power or linear, the paper's."""
-    covariance: str | None = None
+    covariance: Covariance | None = None
     """What the flow does to shape and shading: full (the default), rotate or fixed, the paper's."""
-    ease: str | None = None
+    ease: Literal["linear", "smooth", "smoother"] | None = None
     """How time runs: linear (the default), smooth or smoother (slow at both ends)."""
     split: float | None = None
     """Split splats that the flow stretches to more than so many times their length, 2 say."""

@@ -9,7 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 from cyclopts import Parameter
 
 from splatmorph.app import console
-from splatmorph.app.options import Blending, ColourOption, Out, Overwrite, UpOption
+from splatmorph.app.options import (
+    Blend,
+    Blending,
+    ColourOption,
+    Covariance,
+    Out,
+    Overwrite,
+    Ramp,
+    UpOption,
+)
 from splatmorph.errors import OptionError
 from splatmorph.view.limits import MAX_SPLATS
 
@@ -24,9 +33,11 @@ def view(
     /,
     *,
     out: Out = None,
-    ramp: Annotated[str | None, Parameter(help="How opacities fade at first.")] = None,
-    blend: Annotated[str | None, Parameter(help="How the halves meet.")] = None,
-    covariance: Annotated[str | None, Parameter(help="What the flow does to shapes.")] = None,
+    ramp: Annotated[Ramp | None, Parameter(help="How opacities fade at first.")] = None,
+    blend: Annotated[Blend | None, Parameter(help="How the halves meet.")] = None,
+    covariance: Annotated[
+        Covariance | None, Parameter(help="What the flow does to shapes.")
+    ] = None,
     up: UpOption = None,
     background: ColourOption = None,
     max_splats: Annotated[

@@ -45,6 +45,11 @@ def make_flow(kind: str = Node.kind, dim: int = 3, **options: Any) -> Flow:
     ``FIELDS`` (default "spline"), and ``steps``; every other option belongs to the field or flow
     and is documented there.
 
+    >>> import torch
+    >>> flow, points = make_flow("node", dim=3), torch.rand(5, 3, dtype=torch.float64)
+    >>> torch.equal(flow(points, 0.0), points)
+    True
+
     Raises:
         OptionError: an unknown kind, field or option.
     """

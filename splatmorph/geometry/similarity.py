@@ -22,6 +22,10 @@ from splatmorph.geometry.quaternions import from_matrices
 class Similarity:
     """x ↦ s R x + t: a rotation, a scale above 0 and a shift.
 
+    >>> there = Similarity(torch.eye(3), 4.0, torch.zeros(3))
+    >>> there.power(0.5).scale
+    2.0
+
     Raises ``ValueError`` where the numbers are no similarity: a programming error.
     """
 

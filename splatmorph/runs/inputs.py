@@ -14,6 +14,7 @@ from torch import Tensor
 
 from splatmorph import io
 from splatmorph.avatars import Avatar, is_avatar, load_avatar
+from splatmorph.avatars.places import find_avatar
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.offsets import lost_detail
@@ -44,6 +45,11 @@ class Input:
     def sha256(self) -> str:
         """Fingerprint of the files read."""
         return fingerprint(self.files)
+
+
+def name_of(path: str | Path) -> str:
+    """What the input at ``path`` is called, before it is read: its :attr:`Input.name`."""
+    return find_avatar(path).name if is_avatar(path) else io.stem_of(path)
 
 
 def load_splat(

@@ -24,7 +24,7 @@ from splatmorph.morph import mean_landmarks
 from splatmorph.registration import Found
 from splatmorph.registration.search import OnStep as OnSearch
 from splatmorph.runs.finding import described, find, find_common
-from splatmorph.runs.inputs import Input, as_in_file
+from splatmorph.runs.inputs import Input, as_in_file, name_of
 from splatmorph.runs.posing import Pair, landmarks_of, load_inputs, thinned
 from splatmorph.runs.run import MANIFEST, Leg, Run, remember, save_run
 from splatmorph.runs.settings import (
@@ -136,9 +136,8 @@ class Request:
 
     @property
     def folder(self) -> Path:
-        """Where the run is written if nobody says: in the current folder, named by its inputs."""
-        names = "-".join(one.name for one in self.inputs)
-        return Path(f"{names}-mean.run" if self.mean else f"{names}.run")
+        """Where the run is written if nobody says; see :func:`folder_of`."""
+        return folder_of([one.path for one in self.inputs], self.mean)
 
     @property
     def options(self) -> Mapping[str, Any]:
@@ -170,7 +169,7 @@ class Request:
         made: list[Leg] = []
         reports: list[FitReport] = []
         for i, leg in enumerate(self.legs):
-            flow = _flow_of(self.fitting).to(device)
+            flow = flow_of(self.fitting).to(device)
             report = self._fit_leg(i, flow, folder, resume, on_step)
             reports.append(report)
             for warning in report.warnings:
@@ -268,6 +267,12 @@ def fit_run(
     )
 
 
+def folder_of(paths: Sequence[str | Path], mean: bool = False) -> Path:
+    """Where the run of these inputs is written: in the current folder, named by them."""
+    names = "-".join(name_of(path) for path in paths)
+    return Path(f"{names}-mean.run" if mean else f"{names}.run")
+
+
 def claim_run(folder: Path, *, resume: bool, overwrite: bool) -> None:
     """Refuse a folder that a run may not be written to.
 
@@ -332,7 +337,12 @@ def _legs_to_mean(
     )
 
 
-def _flow_of(asked: Fitting) -> Flow:
+def flow_of(asked: Fitting) -> Flow:
+    """The flow that is asked for, unfitted.
+
+    Raises:
+        OptionError: there is no such flow, or it has no fields.
+    """
     options = {"field": asked.field} if asked.field else {}
     return make_flow(asked.flow, dim=3, **options)
 

@@ -17,12 +17,12 @@ class Fitting:
 
     flow: str = "node"
     """node or ncf; or a baseline: ifmorph, tps, linear."""
-    field: str | None = None
+    field: Literal["spline", "siren"] | None = None
     """Of the node flow: spline (the default) or siren."""
     smoothing: float | None = None
     """Weight of bending against missed landmarks, 0 meets them; chosen by the landmarks if not
     given."""
-    energy: str | None = None
+    energy: Literal["jacobian", "hessian"] | None = None
     """What training keeps small: jacobian (the paper's) or hessian."""
     steps: int | None = None
     """Most training steps."""
@@ -38,7 +38,7 @@ class Posing:
     """Default: landmarks beside the source, or those of its FLAME mesh."""
     target_landmarks: Path | None = None
     """Default: landmarks beside the target, or those of its FLAME mesh."""
-    landmarks_set: str = "254"
+    landmarks_set: Literal["70", "254", "dense"] = "254"
     """Of FLAME: 70, 254, dense."""
     landmarks_count: int | None = None
     """Use at most this many landmarks, spread evenly; 500 of the dense set by default."""
@@ -66,7 +66,7 @@ class Finding:
     """Look for landmarks where none are given."""
     refine: bool = False
     """Add landmarks on the surfaces to those that are given: for few (6 to 12) of them."""
-    method: str = "auto"
+    method: Literal["auto", "face", "surface"] = "auto"
     """auto (faces where both have one, then surfaces), face or surface."""
     count: int = 400
     """Landmarks on the surfaces."""

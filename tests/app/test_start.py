@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from typing import get_args, get_type_hints
 
 import pytest
 
@@ -41,14 +42,22 @@ def test_the_help_of_an_export_names_every_format(capsys: pytest.CaptureFixture[
 
 
 def test_defaults_that_are_written_twice_agree() -> None:
-    from splatmorph.app.options import Searching
+    from splatmorph.app.options import Blend, Blending, Covariance, Ramp, Searching
     from splatmorph.fitting import FitConfig
     from splatmorph.flows import Node
+    from splatmorph.flows.node import FIELDS
     from splatmorph.images.picture import MOST_PIXELS
+    from splatmorph.morph.morph import BLENDS
+    from splatmorph.morph.ramps import EASES, RAMPS
+    from splatmorph.morph.transport import COVARIANCES
     from splatmorph.registration.search import COUNT
     from splatmorph.runs import Finding, Fitting
 
     assert Finding().count == Searching().count == COUNT
     assert (Fitting().flow, Fitting().smoothing) == (Node.kind, FitConfig.smoothing)
+    for words, known in ((Blend, BLENDS), (Ramp, RAMPS), (Covariance, COVARIANCES)):
+        assert set(get_args(words)) == set(known)
+    for name, of, known in (("ease", Blending, EASES), ("field", Fitting, FIELDS)):
+        assert set(get_args(get_args(get_type_hints(of)[name])[0])) == set(known)
     app = __import__("splatmorph.app.image", fromlist=["image"])
     assert app.image.__kwdefaults__["max_pixels"] == MOST_PIXELS

@@ -54,3 +54,33 @@ def test_a_bug_report_names_versions(cli: Run) -> None:
     code, out, _ = cli("--version", "--verbose")
     assert code == 0
     assert all(word in out for word in ("splatmorph ", "Python ", "torch ", "CPU cores"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("fit", "--flow", "nosuch"),
+        ("fit", "--field", "nosuch"),
+        ("fit", "--method", "nosuch"),
+        ("fit", "--energy", "nosuch"),
+        ("fit", "--device", "nosuch"),
+        ("view", "--blend", "nosuch", "-o", "a-b.html"),
+        ("render", "--ease", "nosuch", "--t", "0.5", "-o", "a-b.html"),
+    ],
+)
+def test_what_is_there_already_hides_no_wrong_option(
+    fitted: Path, cli: Run, words: tuple[str, ...]
+) -> None:
+    Path("a-b.html").touch()
+    inputs = ("a.ply", "b.ply") if words[0] == "fit" else (fitted,)
+    code, _, err = cli(words[0], *inputs, *words[1:])
+    assert code in (1, 2)
+    assert "nosuch" in err
+    assert "already" not in err
+
+
+def test_a_run_that_is_there_is_seen_before_anything_is_looked_for(
+    fitted: Path, cli: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("splatmorph.runs.request.find", lambda *_: pytest.fail("it looks"))
+    failed(cli("fit", "a.ply", "b.ply"), "a-b.run is a finished run", "give -w")

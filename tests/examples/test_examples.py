@@ -5,6 +5,7 @@ That of avatars is run beside their tests.
 
 from __future__ import annotations
 
+import json
 import re
 import runpy
 import shlex
@@ -57,6 +58,16 @@ def test_an_example_runs(
 @pytest.mark.parametrize("example", EXAMPLES, ids=lambda path: path.stem)
 def test_an_example_is_short(example: Path) -> None:
     assert len(example.read_text(encoding="utf-8").splitlines()) < 40
+
+
+def test_the_notebook_runs() -> None:
+    book = json.loads((HOUSE / "examples/step_by_step.ipynb").read_text(encoding="utf-8"))
+    names: dict[str, object] = {}
+    for cell in book["cells"]:
+        if cell["cell_type"] == "code":
+            assert not cell["outputs"], "kept without outputs"
+            exec(compile("".join(cell["source"]), cell["id"], "exec"), names)
+    assert len(names["pictures"]) == 5
 
 
 def blocks(language: str) -> list[str]:
