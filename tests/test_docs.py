@@ -5,13 +5,15 @@ from __future__ import annotations
 import doctest
 import importlib
 import re
+import shlex
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import pytest
 
-from splatmorph.app import COMMANDS
+from splatmorph.app import COMMANDS, app
 
 HOUSE = Path(__file__).parents[1]
 PAGES = sorted([*HOUSE.glob("*.md"), *HOUSE.glob("docs/*.md")])
@@ -53,6 +55,29 @@ def test_the_docstrings_examples_hold(module: str) -> None:
 def test_every_page_is_in_the_navigation() -> None:
     listed = set(re.findall(r"(\w+\.md)$", (HOUSE / "mkdocs.yml").read_text(), flags=re.M))
     assert listed == {page.name for page in (HOUSE / "docs").glob("*.md")}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_every_line_that_is_typed_is_understood(page: Path) -> None:
+    """Parsed, not run: the README's are run by the tests of the examples."""
+    text = page.read_text(encoding="utf-8")
+    lines = re.findall(r"^ *(splatmorph [a-z]+ .+)$", text, flags=re.M)
+    if page.name == "commands.md":
+        lines += re.findall(r"`(splatmorph [a-z]+ [^`]+)`", text)
+    for line in lines:
+        words = shlex.split(line, comments=True)[1:]
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            app.parse_args(words, exit_on_error=False, print_error=False)
+
+
+def test_every_benchmark_is_named_and_every_figure_has_one() -> None:
+    scripts = {path.name for path in (HOUSE / "benchmarks").glob("*.py")} - {"pairs.py"}
+    text = (HOUSE / "docs/benchmarks.md").read_text(encoding="utf-8")
+    assert set(re.findall(r"benchmarks/(\w+\.py)", text)) == scripts
+    for page in re.findall(r"\((\w+\.md)\) \| `python", text):
+        said = (HOUSE / "docs" / page).read_text(encoding="utf-8")
+        assert "benchmarks/" in said, f"{page} has figures and names no command for them"
 
 
 def test_every_command_and_example_is_shown() -> None:
