@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import islice
 from typing import ParamSpec, TypeVar
 
 import numpy as np
@@ -93,8 +94,12 @@ def pictures(
     The next splat is made while this one is drawn; one that stands before several cameras, one
     after the other, is prepared once.
     """
-    for arrays, camera in zip(ahead(_all_arrays(splats)), cameras, strict=True):
-        yield _picture(arrays, camera, background, device)
+    coming = ahead(_all_arrays(splats))
+    for camera in cameras:
+        (arrays,) = islice(coming, 1)
+        picture = _picture(arrays, camera, background, device)
+        del arrays  # before the next but one is made, which may have its memory
+        yield picture
 
 
 def _all_arrays(splats: Iterable[Gaussians]) -> Iterator[Arrays]:

@@ -50,7 +50,26 @@ def test_a_splat_that_stands_still_is_prepared_once(
     assert frames[1] is frames[2] is frames[3]
 
 
-def test_more_splats_than_cameras_are_a_mistake() -> None:
-    cameras = turntable(bounds(A), 1, size=(48, 32))
-    with pytest.raises(ValueError, match="zip"):
-        list(pictures([A, A], cameras))
+def test_no_more_than_two_frames_are_in_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    pair = [random_gaussians(2100, seed=seed) for seed in (1, 2)]
+    flow = make_flow("node")
+    flow.initialise(torch.Generator().manual_seed(0))
+    times = [i / 20 for i in range(1, 20)]
+    places: set[int] = set()
+
+    def noted(splat: Gaussians) -> rendering.Arrays:
+        places.add(splat.sh.data_ptr())
+        return arrays(splat)
+
+    arrays = rendering.renderer_arrays
+    monkeypatch.setattr(rendering, "renderer_arrays", noted)
+    cameras = turntable(bounds(*pair), len(times), size=(16, 16))
+    for _ in pictures(Morph(*pair, flow, blend="union").sequence(times), cameras):
+        pass
+    assert len(places) <= 2
+
+
+def test_fewer_splats_than_cameras_are_a_mistake() -> None:
+    cameras = turntable(bounds(A), 2, size=(48, 32))
+    with pytest.raises(ValueError, match="not enough"):
+        list(pictures([A], cameras))

@@ -97,8 +97,9 @@ def export_sequence(
     morph.prepare(coming, on_prepare)
     frames = ahead(morph.sequence(coming))
     written: dict[int, dict[str, float]] = {}
-    for count, (i, frame) in enumerate(zip(left, frames, strict=True)):
-        written[i] = _write_frame(files[i], frame, times[i], names, prune, up)
+    for count, i in enumerate(left):
+        # Not kept here while the next but one is made, which may have its memory.
+        written[i] = _write_frame(files[i], next(frames), times[i], names, prune, up)
         write_json(folder / PLAN, plan | {"done": done | written})
         if on_frame is not None:
             on_frame(len(done) + count + 1)
