@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import doctest
+import html
 import importlib
 import re
 import shlex
@@ -93,3 +94,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     done = subprocess.run(words, cwd=HOUSE, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-2000:]
     assert "fit_run" in (tmp_path / "s/api/index.html").read_text(encoding="utf-8")
+    page = (tmp_path / "s/examples/index.html").read_text(encoding="utf-8")
+    shown = html.unescape(re.sub(r"<[^>]+>", "", page))
+    assert shown.count("import splatmorph as sm") > 4
+    assert "8<" not in shown.replace(" ", "")
