@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -40,6 +41,10 @@ EXTRA_TYPES: dict[Any, np.dtype[Any]] = {
     np.dtype("u2"): np.dtype("i4"),
     np.dtype("u4"): np.dtype("f8"),
 }
+
+
+BLOCK = 2048
+"""Splats whose properties, which lie together in a file, fit a core's cache."""
 
 
 def read_ply(path: str | Path) -> Gaussians:
@@ -99,10 +104,9 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
     rest = _rest_names(columns, path)
     per_channel = len(rest) // 3
     n = len(columns["x"])
-    sh = np.empty((n, per_channel + 1, 3), np.float32)
-    sh[:, 0] = _stack(columns, COLOUR)
-    if rest:
-        sh[:, 1:] = _stack(columns, rest).reshape(n, 3, per_channel).transpose(0, 2, 1)
+    # The file has channel after channel; a splat's colours have the channels last.
+    by_coefficient = [rest[i::per_channel] for i in range(per_channel)]
+    sh = _stack(columns, [*COLOUR, *chain.from_iterable(by_coefficient)])
     known = {*REQUIRED, *rest, *NORMALS}
     extras = {name: _extra(value) for name, value in columns.items() if name not in known}
     if any(np.any(columns[name]) for name in NORMALS if name in columns):
@@ -114,7 +118,7 @@ def gaussians_from_properties(columns: Columns, path: str | Path) -> Gaussians:
         quats=torch.from_numpy(_stack(columns, QUATS)),
         log_scales=torch.from_numpy(log_scales),
         opacity_logits=torch.from_numpy(finite_logits(columns["opacity"])),
-        sh=torch.from_numpy(sh),
+        sh=torch.from_numpy(sh.reshape(n, per_channel + 1, 3)),
         extras=extras,
         offset=offset,
     )
@@ -175,8 +179,10 @@ def _records(gaussians: Gaussians) -> NDArray[np.void]:
 
 def _stack(columns: Columns, names: Sequence[str]) -> NDArray[np.float32]:
     out = np.empty((len(columns[names[0]]), len(names)), np.float32)
-    for i, name in enumerate(names):
-        out[:, i] = columns[name]
+    for begin in range(0, len(out), BLOCK):
+        rows = slice(begin, begin + BLOCK)
+        for i, name in enumerate(names):
+            out[rows, i] = columns[name][rows]
     return out
 
 
