@@ -33,6 +33,11 @@ SLOPES = 0.1
 DIFFERENCE = 2e-2
 """Frame units between points whose velocities are subtracted: in single precision it leaves four
 digits of a first derivative and two of a second."""
+TOO_STEEP = 30.0
+"""Times the spline's first-order energy that a conjugate flow of the plane may have: its slopes
+are then some five times as steep as they need be, on average."""
+LEAST_STEEP = 1e-4
+"""First-order energy that counts as none."""
 MET = 1e-7
 """Mean squared gap of a landmark below which little is gained by meeting it closer."""
 
@@ -188,14 +193,19 @@ class NCFObjective:
     A conjugate flow has one fixed point at most, the spline any number, so that the one cannot
     always follow the other. The two errors are weighed by their logarithms: each step is worth the
     part of either that it takes off, whatever their sizes.
+
+    In the plane, where the spline between two faces has several fixed points, the sticks weigh more
+    and their velocities are asked for too: what comes to the right places may else have gone there
+    in a whirl. What is still ``TOO_STEEP`` is refused.
     """
 
     def __init__(self, flow: NCF, task: Task) -> None:
         p, q, config = task.p, task.q, task.config
         self.module = flow
         self.p, self.q = p.float(), q.float()
-        self.recipe = Recipe(800, 4e-3, 150, 1.0, 0.05)
-        spline = SplineField(flow.dim)
+        plane = flow.dim == 2
+        self.recipe = Recipe(800, 4e-3, 150, 1.0, 0.5 if plane else 0.05)
+        spline = self.spline = SplineField(flow.dim)
         settings = FitConfig(smoothing=config.bending, shear=config.shear)
         solve_spline(spline, p, q, settings, lambda *_: None)
         generator = torch.Generator().manual_seed(config.seed)
@@ -207,6 +217,8 @@ class NCFObjective:
             runge_kutta(spline, sticks, time, FINE_STEPS // 2).float().unflatten(0, (2, -1))
             for time in (-half, half)
         )
+        self.rates = spline(self.starts.double().flatten(0, 1)).float().unflatten(0, (2, -1))
+        self.follows = plane
 
     def initialise(self, seed: int) -> list[nn.Parameter]:
         """Couplings near the identity, under the least-squares affine velocity."""
@@ -231,6 +243,10 @@ class NCFObjective:
         one, other = gaps[:, len(self.p) :].unflatten(1, (2, -1)).unbind(1)
         place = ((one + other) / 2).square().sum(2).mean()
         slope = ((one - other) / STICK).square().sum(2).mean()
+        if self.follows:
+            missed = self.module.unit_velocity(starts).unflatten(0, (2, -1)) - self.rates[:, chosen]
+            place = place + missed.mean(0).square().sum(1).mean()
+            slope = slope + ((missed[0] - missed[1]) / STICK).square().sum(1).mean()
         return landmarks + weight * torch.log(place + SLOPES * self.module.dim * slope)
 
     def mse(self) -> float:
@@ -238,7 +254,23 @@ class NCFObjective:
         return float(self._gaps(self.p, self.q).square().mean())
 
     def finish(self) -> None:
-        """Nothing is left to do."""
+        """Refuse a field that is steeper than it need be.
+
+        Raises:
+            FitError: says by how much.
+        """
+        if not self.follows:
+            return
+        middles = self.starts.mean(0)
+        own = self.module.unit_velocity_jacobian(middles).square().sum((1, 2)).mean()
+        least = self.spline.jacobian(middles.double()).square().sum((1, 2)).mean()
+        times = float(own / least.clamp(min=LEAST_STEEP))
+        if times > TOO_STEEP:
+            raise FitError(
+                f"no calm conjugate flow was found between these landmarks: its energy is "
+                f"{times:.0f} times the least that meets them, expected at most "
+                f"{TOO_STEEP:.0f}; take the node flow, whose field may rest at several points"
+            )
 
     def _gaps(self, p: Tensor, q: Tensor) -> Tensor:
         """Φ(p, 1) - q and Φ(q, -1) - p: (2, k, dim)."""

@@ -10,8 +10,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from splatmorph.errors import LandmarkError, NonFiniteError, OptionError
-from splatmorph.fitting import FitConfig, FitProgress, FitState, fit
+from splatmorph.errors import FitError, LandmarkError, NonFiniteError, OptionError
+from splatmorph.fitting import FitConfig, FitProgress, FitState, fit, objectives
 from splatmorph.fitting.choice import MOST, Regression, choose
 from splatmorph.fitting.train import CHECK_EVERY
 from splatmorph.flows import KINDS, Flow, Ifmorph, Node, make_flow
@@ -354,3 +354,16 @@ def test_landmarks_beyond_a_thousand_are_chosen_from_a_thousand(
     whole, part = choose(p, moved(p) + noise), choose(p[::3], (moved(p) + noise)[::3])
     assert max(seen) == MOST
     assert whole.smoothing == pytest.approx(part.smoothing, rel=3.1)
+
+
+def test_a_conjugate_flow_that_is_too_steep_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    p = cloud(12, 2)
+    ends = Landmarks(p), Landmarks(moved(p))
+    config = FitConfig(steps=CHECK_EVERY)
+    flow = make_flow("ncf", dim=2, width=8, layers=4)
+    report = fit(flow, *ends, config)
+    spline = fit(make_flow("node", dim=2), *ends)
+    assert report.energy_first < objectives.TOO_STEEP * spline.energy_first
+    monkeypatch.setattr(objectives, "TOO_STEEP", 1e-3)
+    with pytest.raises(FitError, match="times the least that meets them"):
+        fit(flow, *ends, config)
