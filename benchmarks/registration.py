@@ -42,6 +42,7 @@ from splatmorph.registration import Found, find_landmarks
 from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.pose import angle, find_poses
 from splatmorph.registration.subject import prepare
+from splatmorph.registration.surfaces import see_surface
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -147,12 +148,12 @@ def warped(data: Path, name: str) -> Case:
     """A head against itself, twisted about its axis or with a swollen face: the truth is exact."""
     head = heads(data, "james", "james")
     means = head.source.means.double()
-    center = means.mean(0)
-    radius = float((means - center).square().sum(1).mean().sqrt())
+    _, middle, radius = see_surface(head.source, "expected")
+    center = torch.from_numpy(middle)
 
     def twist(x: torch.Tensor) -> torch.Tensor:
         d = x - center
-        turn = 0.6 * d[:, 1] / (1.5 * radius) * 2
+        turn = 0.6 * d[:, 1] / (1.5 * radius)
         c, s = turn.cos(), turn.sin()
         return center + torch.stack([c * d[:, 0] + s * d[:, 2], d[:, 1],
                                      c * d[:, 2] - s * d[:, 0]], 1)  # fmt: skip
@@ -161,7 +162,7 @@ def warped(data: Path, name: str) -> Case:
 
     def swell(x: torch.Tensor) -> torch.Tensor:
         d = x - nose
-        near = torch.exp(-d.square().sum(1, keepdim=True) / (2 * (0.6 * radius) ** 2))
+        near = torch.exp(-d.square().sum(1, keepdim=True) / (2 * (0.345 * radius) ** 2))
         return x + 0.35 * near * d
 
     warp = {"twist": twist, "swelling": swell}[name]

@@ -21,6 +21,7 @@ from renderer.cameras import UPRIGHT
 from splatmorph.ahead import ahead
 from splatmorph.errors import OptionError, ReadError, SplatmorphError, WriteError
 from splatmorph.gaussians import Gaussians
+from splatmorph.steady import one_thread
 
 Colour = Sequence[float]
 Array = NDArray[np.float32]
@@ -128,6 +129,7 @@ def _picture(
     return np.asarray(np.clip(rgb * 255 + 0.5, 0, 255).astype(np.uint8))
 
 
+@one_thread()  # others would spin for a while, and take a core from the rasterizer
 def renderer_arrays(gaussians: Gaussians) -> Arrays:
     """means, quats, scales, opacities and sh as ``renderer.rasterize`` takes them."""
 

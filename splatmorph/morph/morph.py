@@ -21,6 +21,7 @@ from splatmorph.morph.memory import Memory
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
 from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, Drift, colour_turns
+from splatmorph.steady import one_thread
 
 Choice = TypeVar("Choice")
 
@@ -276,8 +277,9 @@ class Morph:
             if frame is None or t == 0:
                 return gaussians
             moved = frame(stops.index(t), room)
-            if moved.means.sum().isfinite():
-                return moved
+            with one_thread():  # others would take a core from the kernels for a while
+                if moved.means.sum().isfinite():
+                    return moved
             # Either some are lost, or the sum has overflowed.
             lost = len(moved) - int(moved.means.isfinite().all(1).sum())
             if lost:

@@ -19,6 +19,7 @@ from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes, polar_rotation
 from splatmorph.morph.native import moment as native
 from splatmorph.morph.native import shapes
+from splatmorph.steady import one_thread
 
 KNOTS = 8
 """Moments a unit of t at which shapes are worked out; in between they are interpolated."""
@@ -75,6 +76,7 @@ def _centers(
 ) -> Callable[[int, Gaussians | None], Tensor]:
     path = flow.trajectory(gaussians.means, times)
 
+    @one_thread()
     def centers(k: int, room: Gaussians | None) -> Tensor:
         if drift is None:
             return path[k]

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import count
 
 import torch
@@ -62,11 +63,16 @@ class Agreement:
         """The half with room for the harmonics that it takes on."""
         return half.with_sh_degree(math.isqrt(self.drift.sh.shape[1]) - 1)
 
+    @cached_property
+    def _log_odds(self) -> Tensor:
+        return self.lead.logit()
+
+    @one_thread()
     def exponents(self, weight: float) -> Tensor:
         """How much of each splat is left when ``weight`` in (0, 1) of the half is: (n,)."""
         # The lead is that of the middle: towards the ends each half is whole.
         swing = (4 * weight * (1 - weight)) ** 2
-        odds = swing * self.lead.logit() + math.log(weight / (1 - weight))
+        odds = swing * self._log_odds + math.log(weight / (1 - weight))
         return fade.exponents(odds.sigmoid().clamp_max(ALL_BUT_ONE), self.density)
 
 
