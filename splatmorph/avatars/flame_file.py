@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from splatmorph.avatars.unpickle import as_array, load_pickle
+from splatmorph.avatars.stand_ins import as_array
+from splatmorph.avatars.unpickle import load_pickle
 from splatmorph.errors import ReadError
 
 VERTICES, FACES, JOINTS = 5023, 9976, 5

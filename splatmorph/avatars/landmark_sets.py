@@ -11,7 +11,8 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from splatmorph.avatars.unpickle import as_array, load_object_array
+from splatmorph.avatars.stand_ins import as_array
+from splatmorph.avatars.unpickle import load_object_array
 from splatmorph.errors import OptionError, ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.spreading import farthest

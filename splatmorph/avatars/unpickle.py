@@ -27,71 +27,13 @@ from splatmorph.avatars.opcodes import (
     as_dict,
     as_set,
 )
+from splatmorph.avatars.stand_ins import Chumpy, Sparse, SparseByColumns, StandIn, shape_of
 from splatmorph.errors import ReadError
 
 PLAIN = ("b1", "i1", "i2", "i4", "i8", "u1", "u2", "u4", "u8", "f2", "f4", "f8")
 """The types that arrays may have, beside objects out of lists."""
 DEEPEST = 64
 """Levels of lists in lists, of chumpy arrays of chumpy arrays."""
-LARGEST_SPARSE = 1 << 22
-"""Entries of a sparse matrix made dense; FLAME's has 25 115."""
-
-
-class StandIn(Made):
-    """What an object of a library was pickled with; the library is not needed."""
-
-    def __init__(self) -> None:
-        self.state: dict[str, Any] = {}
-
-    def build(self, state: object) -> None:
-        """Take the object's fields."""
-        self.state = dict(state) if isinstance(state, dict) else {}
-
-    def array(self) -> NDArray[Any]:
-        """What it stands for, as an array; see :func:`as_array` for what it raises."""
-        raise ValueError("it is no array")
-
-
-class Chumpy(StandIn):
-    """An array of chumpy: its values in ``x``, or ``a`` picked by ``idxs`` (chumpy's Select)."""
-
-    def array(self) -> NDArray[Any]:
-        """The values, as chumpy's ``.r`` gives them."""
-        if "x" in self.state:
-            return as_array(self.state["x"])
-        picked = as_array(self.state["a"]).ravel()[as_array(self.state["idxs"])]
-        shape = self.state.get("preferred_shape")
-        return picked if shape is None else picked.reshape(as_array(shape))
-
-
-class Sparse(StandIn):
-    """A matrix of scipy.sparse; which layout shows in the arrays that it has."""
-
-    by_columns = False
-
-    def array(self) -> NDArray[Any]:
-        """The matrix, dense."""
-        data = as_array(self.state["data"])
-        rows, columns = _shape(self.state.get("_shape") or self.state["shape"])
-        if rows * columns > LARGEST_SPARSE:
-            raise ValueError(f"a sparse matrix of {rows} by {columns}")
-        if "indptr" not in self.state:
-            where = self.state.get("coords") or (self.state["row"], self.state["col"])
-            return _scatter(data, as_array(where[0]), as_array(where[1]), (rows, columns))
-        minor = as_array(self.state["indices"])
-        counts = np.diff(as_array(self.state["indptr"]))
-        if counts.min(initial=0) < 0 or counts.sum() != len(data):
-            raise ValueError("rows that overlap")
-        major = np.repeat(np.arange(len(counts)), counts)
-        if self.by_columns:
-            return _scatter(data, minor, major, (rows, columns))
-        return _scatter(data, major, minor, (rows, columns))
-
-
-class SparseByColumns(Sparse):
-    """csc."""
-
-    by_columns = True
 
 
 def load_pickle(path: Path) -> Any:
@@ -128,15 +70,6 @@ def load_object_array(path: Path) -> Any:
     if not (isinstance(stored, np.ndarray) and stored.shape == ()):
         raise ReadError(f"{path} is no .npy of one object: {type(stored).__name__}")
     return stored.item()
-
-
-def as_array(value: Any) -> NDArray[Any]:
-    """A value out of ``load_pickle`` as a dense array.
-
-    Raises:
-        KeyError, ValueError, IndexError, TypeError: a stand-in that lacks what makes it an array.
-    """
-    return value.array() if isinstance(value, StandIn) else np.asarray(value)
 
 
 def _bytes(path: Path) -> bytes:
@@ -234,7 +167,7 @@ class _Array(Made):
             raise TypeError("a state that is none")
         shape, kind, by_columns, content = state[-4:]
         self.kind = _kind(kind)
-        self.shape, self.by_columns = _shape(shape), bool(by_columns)
+        self.shape, self.by_columns = shape_of(shape), bool(by_columns)
         self.content = content.encode("latin1") if isinstance(content, str) else content
 
     def array(self, plain: Any) -> Any:
@@ -268,21 +201,6 @@ def _from_bytes(content: bytes, dtype: np.dtype[Any], shape: tuple[int, ...]) ->
     return np.frombuffer(content, dtype) if count else np.empty(0, dtype)
 
 
-def _shape(stored: Any) -> tuple[int, ...]:
-    shape = tuple(stored)
-    if len(shape) > 32 or not all(isinstance(n, int) and 0 <= n < 1 << 40 for n in shape):
-        raise ValueError("a shape that is none")
-    return shape
-
-
-def _scatter(
-    data: NDArray[Any], rows: NDArray[Any], columns: NDArray[Any], shape: tuple[int, ...]
-) -> NDArray[Any]:
-    dense = np.zeros(shape, data.dtype)
-    np.add.at(dense, (rows, columns), data)
-    return dense
-
-
 def _dtype(code: Any, *_: object) -> _Type:
     code = code.decode("latin1") if isinstance(code, bytes) else code
     if not isinstance(code, str):
@@ -309,9 +227,9 @@ def _from_buffer(
 ) -> _Array | NDArray[Any]:
     kind = _kind(kind)
     if order == "K" and axes is not None and kind.plain is not None:
-        flat = _from_bytes(content, kind.plain, _shape(shape))
-        return flat.reshape(_shape(shape)).transpose(_shape(axes))
-    return _Array(_shape(shape), kind, order == "F", content)
+        flat = _from_bytes(content, kind.plain, shape_of(shape))
+        return flat.reshape(shape_of(shape)).transpose(shape_of(axes))
+    return _Array(shape_of(shape), kind, order == "F", content)
 
 
 def _reconstructor(kind: Any, base: Any, state: Any) -> Any:
@@ -349,7 +267,7 @@ def _storage(stored: bytes) -> _Storage:
 
 
 def _tensor(storage: _Storage, offset: int, size: Any, stride: Any, *_: object) -> NDArray[Any]:
-    size, stride = _shape(size), _shape(stride)
+    size, stride = shape_of(size), shape_of(stride)
     values = np.frombuffer(storage.content, storage.dtype)
     if not isinstance(offset, int):
         raise TypeError("an offset that is no number")

@@ -11,7 +11,8 @@ import torch
 
 from splatmorph.avatars import load_avatar, thin
 from splatmorph.avatars.landmark_sets import paper_vertices
-from splatmorph.avatars.unpickle import as_array, load_object_array
+from splatmorph.avatars.stand_ins import as_array
+from splatmorph.avatars.unpickle import load_object_array
 from splatmorph.errors import LandmarkError, OptionError, ReadError
 from splatmorph.landmarks import Landmarks
 

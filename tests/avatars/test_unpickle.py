@@ -16,7 +16,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from splatmorph.avatars.unpickle import as_array, load_object_array, load_pickle
+from splatmorph.avatars.stand_ins import as_array
+from splatmorph.avatars.unpickle import load_object_array, load_pickle
 from splatmorph.errors import ReadError
 
 

@@ -19,8 +19,9 @@ from splatmorph.avatars.landmark_sets import mesh_landmarks
 from splatmorph.avatars.mesh import read_mesh
 from splatmorph.avatars.places import find_avatar, is_local
 from splatmorph.avatars.rig import read_local
+from splatmorph.avatars.stand_ins import as_array
 from splatmorph.avatars.track import Track
-from splatmorph.avatars.unpickle import as_array, load_pickle
+from splatmorph.avatars.unpickle import load_pickle
 from splatmorph.errors import RunError, SplatmorphError
 from splatmorph.fitting import FitConfig, fit
 from splatmorph.flows import make_flow
