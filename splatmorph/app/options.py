@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 from cyclopts import Parameter
 
 from splatmorph.errors import OptionError
+from splatmorph.runs.settings import Method
 
 Splat = Annotated[Path, Parameter(help="A splat file or an avatar's directory.")]
 RunPath = Annotated[Path, Parameter(help="The run directory that `splatmorph fit` wrote.")]
@@ -176,7 +177,7 @@ TargetCrop = Annotated[
 class Searching:
     """How landmarks are looked for."""
 
-    method: Literal["auto", "face", "surface"] = "auto"
+    method: Method = "auto"
     """auto (faces where both have one, then surfaces), face or surface."""
     count: Annotated[int, Parameter(name=["--count", "-n"])] = 400
     """Landmarks on the surfaces; those of a face come beside."""

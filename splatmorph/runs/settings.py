@@ -11,6 +11,10 @@ from splatmorph.errors import OptionError
 Box = tuple[float, ...]
 
 
+Method = Literal["auto", "face", "surface"]
+"""How landmarks are looked for."""
+
+
 @dataclass(frozen=True)
 class Fitting:
     """Which flow, and how it is fitted."""
@@ -66,7 +70,7 @@ class Finding:
     """Look for landmarks where none are given."""
     refine: bool = False
     """Add landmarks on the surfaces to those that are given: for few (6 to 12) of them."""
-    method: Literal["auto", "face", "surface"] = "auto"
+    method: Method = "auto"
     """auto (faces where both have one, then surfaces), face or surface."""
     count: int = 400
     """Landmarks on the surfaces."""
