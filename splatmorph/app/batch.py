@@ -93,8 +93,8 @@ def batch(
 
     rows = read_rows(pairs)
     asked = Asked(fitting, posing, Finding(auto), steps.words(), device, overwrite)
-    folder = make_folder(out or Path(f"{pairs.stem}-runs")).absolute()
     shown = out or Path(f"{pairs.stem}-runs")
+    folder = make_folder(shown).absolute()
     tasks = [Task(row, folder, asked) for row in rows]
     done: dict[int, Result] = {}
     with alone(folder):

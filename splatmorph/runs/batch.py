@@ -6,7 +6,6 @@ import contextlib
 import csv
 import dataclasses
 import io
-import json
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ from filelock import FileLock, Timeout
 from splatmorph.errors import OutputExistsError, ReadError, RunError, WriteError
 from splatmorph.io import stem_of
 from splatmorph.io.atomic import make_folder, write_json
-from splatmorph.io.reading import read_text, reading
+from splatmorph.io.reading import read_json, read_text, reading
 from splatmorph.runs.request import OnStep, OnWarning, Request, made_by_search
 from splatmorph.runs.run import MANIFEST, Run, open_run
 from splatmorph.runs.settings import Finding, Fitting, Posing
@@ -275,7 +274,7 @@ class Record:
 
     def _steps(self) -> dict[str, Any]:
         # Unreadable, it says nothing: then nothing is taken for ours.
-        with contextlib.suppress(OSError, ValueError):
-            found = json.loads(self.path.read_text(encoding="utf-8"))
+        with contextlib.suppress(ReadError):
+            found = read_json(self.path)
             return found if isinstance(found, dict) else {}
         return {}
