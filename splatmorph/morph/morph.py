@@ -145,6 +145,11 @@ class Morph:
         moved = self.target.moved(self.frame.inverse())
         return replace(moved, up=self.source.up or moved.up, offset=self.source.offset)
 
+    @property
+    def _degree(self) -> int:
+        """Of the harmonics between the ends."""
+        return max(self.source.sh_degree, self.target.sh_degree)
+
     def _placed(
         self, source: Half | None, target: Half | None, t: float, memory: Memory
     ) -> Gaussians:
@@ -178,8 +183,7 @@ class Morph:
         least = UNSEEN if self.stable_count else 0.0
         weights = [max(weight, least) for weight in weights]
         timed = list(zip(times, weights, strict=True))
-        degree = max(self.source.sh_degree, self.target.sh_degree)
-        parts = self._parts(gaussians, leaves).with_sh_degree(degree)
+        parts = self._parts(gaussians, leaves).with_sh_degree(self._degree)
         whole = self._travels(gaussians, [t for t, weight in timed if weight == 1])
         fading = self._fading(parts, [t for t, weight in timed if 0 < weight < 1], leaves)
         ramp = RAMPS[self.ramp]
@@ -241,9 +245,8 @@ class Morph:
     def agreement(self, on_step: OnStep | None = None) -> tuple[Agreement, Agreement]:
         """How source and target agree, found once; nothing changes where they don't."""
         if not self._agreed:
-            degree = max(self.source.sh_degree, self.target.sh_degree)
             ways = ((self.source, 1), (self.aligned, -1))
-            rest = [self._parts(half, way).with_sh_degree(degree) for half, way in ways]
+            rest = [self._parts(half, way).with_sh_degree(self._degree) for half, way in ways]
             if not BLENDS[self.blend]:
                 self._agreed.extend(map(Agreement.none, rest))
                 return self._agreed[0], self._agreed[1]
