@@ -1,6 +1,7 @@
 """The paper's table of faces, on the pairs of a folder of them, through ``splatmorph batch``.
 
     python benchmarks/frll.py FACES [-o FOLDER] [--pairs 100] [--methods node,tps] [--workers 2]
+        [--lpips-weights DIR] [--inception-weights FILE]
 
 FACES is a folder (it and those below are looked through) of pictures with WebMorph templates
 beside them, ``001_03.jpg`` and ``001_03.tem``. Of all pairs so many are drawn with a fixed seed.
@@ -10,24 +11,37 @@ them. Runs are kept in FOLDER, so that the same command goes on. Prints Markdown
 The landmark error is a coordinate's, over ten times, in units in which a picture's longer side is
 2. The determinant is that of the warps to either end over 256 × 256 pixels, folding the share of
 these that are turned over.
+
+With weights (extra ``metrics``; torchvision's of AlexNet, VGG 16 or SqueezeNet 1.1 in DIR,
+pytorch-fid's in FILE) a second table has the mean LPIPS of the middle pictures to both ends, and
+the FID of all of them to the faces at the same size. FID is the larger the fewer pictures there
+are: compare methods over the same pairs.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
+import io
 import itertools
+import json
 import random
 import statistics
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from splatmorph.app import run as splatmorph
-from splatmorph.images import Picture, read_points
+from splatmorph.errors import SplatmorphError
+from splatmorph.images import Canvas, Picture, read_points
+from splatmorph.images.perception import Inception, Lpips, frechet_distance
 
 METHODS = {
     "node": "--warp node",
@@ -47,6 +61,15 @@ PAPER = {
 }
 """Landmark MSE on FRLL, 68 points, as published."""
 
+PAPER_LOOKS = {
+    "siren": (0.210, 0.213, 32.0),
+    "ncf": (0.221, 0.224, 33.3),
+    "ifmorph": (0.250, 0.252, 38.4),
+    "tps": (0.371, 0.374, None),
+    "delaunay": (0.233, 0.236, 32.4),
+}
+"""LPIPS to source and target, FID: of linear blends on FRLL, as published; Delaunay is OpenCV's."""
+
 COLUMNS = (
     "MSE, median",
     "mean",
@@ -59,6 +82,7 @@ COLUMNS = (
     "failed",
     "the paper's MSE",
 )
+LOOKS = ("LPIPS to source", "to target", "FID", "the paper's", "to target", "FID")
 
 
 class Face(NamedTuple):
@@ -77,29 +101,59 @@ def main() -> None:
     parser.add_argument("--methods", default=QUICK, help=f"of {','.join(METHODS)}")
     parser.add_argument("--workers", type=int)
     parser.add_argument("--size", default="256x256", help="of the pictures that are made")
+    parser.add_argument("--lpips-weights", type=Path, metavar="DIR")
+    parser.add_argument("--inception-weights", type=Path, metavar="FILE")
     asked = parser.parse_args()
+    asked.methods = asked.methods.split(",")
+    if unknown := set(asked.methods) - METHODS.keys():
+        parser.error(f"no methods: {', '.join(sorted(unknown))}; expected {','.join(METHODS)}")
+    with tempfile.TemporaryDirectory() as scratch:
+        try:
+            compare(asked, asked.out or Path(scratch))
+        except SplatmorphError as error:
+            raise SystemExit(f"error: {error}") from error
+
+
+def compare(asked: argparse.Namespace, folder: Path) -> None:
+    """Fit the pairs into ``folder`` and print."""
     faces = read_faces(asked.faces)
     pairs = list(itertools.combinations(faces, 2))
     random.Random(0).shuffle(pairs)
     pairs = pairs[: asked.pairs]
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = asked.out or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        table = write_table(folder, pairs)
-        count = len(faces[0].points)
-        print(f"{len(pairs)} pairs of {len(faces)} faces, {count} landmarks\n")
-        print(f"| | {' | '.join(COLUMNS)} |")
-        print("|---" * (len(COLUMNS) + 1) + "|")
-        for method in asked.methods.split(","):
-            runs = folder / method
-            words = ["-q", "batch", table, "-o", runs]
-            words += ["--image", f"{METHODS[method]} --size {asked.size}"]
-            words += ["--workers", asked.workers] if asked.workers else []
-            splatmorph([str(word) for word in words])
-            with (runs / "summary.csv").open(newline="", encoding="utf-8") as stream:
-                print(line(method, list(csv.DictReader(stream))), flush=True)
-    for name in sorted(PAPER.keys() - set(asked.methods.split(","))):
+    eyes = Eyes(
+        Canvas(*map(int, asked.size.split("x"))),
+        asked.lpips_weights and Lpips.load(asked.lpips_weights),
+        asked.inception_weights and Inception.load(asked.inception_weights),
+        tuple(pairs),
+    )
+    folder.mkdir(parents=True, exist_ok=True)
+    table = write_table(folder, pairs)
+    print(f"{len(pairs)} pairs of {len(faces)} faces, {len(faces[0].points)} landmarks\n")
+    print(heading(COLUMNS))
+    looks = []
+    for method in asked.methods:
+        runs = folder / method
+        rows = morph(table, runs, f"{METHODS[method]} --size {asked.size}", asked.workers)
+        print(line(method, rows), flush=True)
+        if eyes.open:
+            looks.append(eyes.line(method, [runs / f"{row['name']}.png" for row in rows]))
+    for name in sorted(PAPER.keys() - set(asked.methods)):
         print(f"| {name} {'| ' * len(COLUMNS)}{PAPER[name]:.1e} |")
+    if looks:
+        trunk = f" by {eyes.lpips.trunk}" if eyes.lpips else ""
+        print(f"\nLPIPS{trunk}, FID to {len(eyes.faces)} faces\n\n{heading(LOOKS)}")
+        print("\n".join(looks))
+
+
+def morph(table: Path, runs: Path, words: str, workers: int | None) -> list[dict[str, Any]]:
+    """What ``splatmorph batch`` says of each pair."""
+    call = ["batch", table, "-o", runs, "--image", words, "--json"]
+    call += ["--workers", workers] if workers else []
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        code = splatmorph([str(word) for word in call])
+    if not said.getvalue():
+        raise SystemExit(code)
+    return json.loads(said.getvalue())["pairs"]
 
 
 def read_faces(folder: Path) -> list[Face]:
@@ -139,15 +193,22 @@ def write_table(folder: Path, pairs: Sequence[tuple[Face, Face]]) -> Path:
     return path
 
 
-def line(method: str, rows: Sequence[dict[str, str]]) -> str:
-    """What a summary says of a method."""
+def heading(columns: Sequence[str]) -> str:
+    """The head of a table of methods."""
+    return f"| | {' | '.join(columns)} |\n|{'---|' * (len(columns) + 1)}"
+
+
+def line(method: str, rows: Sequence[Mapping[str, Any]]) -> str:
+    """What a batch says of a method."""
     done = [row for row in rows if row["status"] != "failed"]
 
     def column(name: str) -> list[float]:
-        return [float(row[name]) for row in done if row[name]]
+        return [row[name] for row in done if row[name] is not None]
 
     # Delaunay takes its corners to their places, whatever happens between.
     mse, det, folded = column("mse") or [0.0], column("det_min"), column("folded")
+    if not det:
+        return f"| {method} {'| ' * (len(COLUMNS) - 1)}| {len(rows)} | |"
     seconds = statistics.median(column("seconds") or [0.0])
     paper = f"{PAPER[method]:.1e}" if method in PAPER else ""
     return (
@@ -155,6 +216,49 @@ def line(method: str, rows: Sequence[dict[str, str]]) -> str:
         f"| {statistics.median(det):.2f} | {min(det):.2f} | {sum(f > 0 for f in folded)} "
         f"| {max(folded):.2%} | {seconds:.2f} | {len(rows) - len(done)} | {paper} |"
     )
+
+
+@dataclass(frozen=True)
+class Eyes:
+    """What looks at the pictures that are made, where there are weights for it."""
+
+    canvas: Canvas
+    lpips: Lpips | None
+    inception: Inception | None
+    pairs: tuple[tuple[Face, Face], ...]
+
+    @property
+    def open(self) -> bool:
+        """Whether there is anything to see with."""
+        return self.lpips is not None or self.inception is not None
+
+    @cached_property
+    def faces(self) -> dict[Path, torch.Tensor]:
+        """The pictures of the pairs, as small as those that are made of them."""
+        paths = sorted({face.picture for pair in self.pairs for face in pair})
+        return {path: Picture.read(path).with_channels(3).planes(self.canvas) for path in paths}
+
+    @cached_property
+    def seen(self) -> torch.Tensor:
+        """The features of the faces."""
+        return self.inception.features(self.faces.values())
+
+    def line(self, method: str, made: Sequence[Path]) -> str:
+        """How the middles ``made`` of each pair look, beside the paper's."""
+        done = [(pair, path) for pair, path in zip(self.pairs, made, strict=True) if path.is_file()]
+        middles = [Picture.read(path).with_channels(3).planes() for _, path in done]
+        found: list[float | None] = [None, None, None]
+        if self.lpips and done:
+            for end in (0, 1):
+                found[end] = statistics.mean(
+                    self.lpips(self.faces[pair[end].picture], middle)
+                    for (pair, _), middle in zip(done, middles, strict=True)
+                )
+        if self.inception and done:
+            found[2] = frechet_distance(self.inception.features(middles), self.seen)
+        cells = [*found, *PAPER_LOOKS.get(method, (None,) * 3)]
+        shown = ("" if cell is None else f"{cell:#.3g}" for cell in cells)
+        return f"| {method} | {' | '.join(shown)} |"
 
 
 if __name__ == "__main__":

@@ -15,7 +15,13 @@ from test_app import failed
 
 Run = Callable[..., tuple[int, str, str]]
 HOUSE = Path(__file__).parents[2]
-OF_EXTRAS = {"cv2": "faces", "viser": "view", "diffusers": "generative", "pxr": "usd"}
+OF_EXTRAS = {
+    "cv2": "faces",
+    "viser": "view",
+    "diffusers": "generative",
+    "pxr": "usd",
+    "lpips": "metrics",
+}
 
 
 @pytest.fixture(autouse=True)
