@@ -126,6 +126,8 @@ def _quietly(distributed: Any, threads: int) -> Iterator[None]:
     names = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
     log = logging.getLogger("distributed")
     before = log.level
+    # Dask sets a worker's variables in our process, and leaves them there.
+    environment = dict(os.environ)
     log.setLevel(logging.CRITICAL)
     try:
         with dask.config.set(
@@ -139,6 +141,9 @@ def _quietly(distributed: Any, threads: int) -> Iterator[None]:
             yield
     finally:
         log.setLevel(before)
+        for name in os.environ.keys() - environment.keys():
+            del os.environ[name]
+        os.environ.update(environment)
 
 
 def _share_cores(each: int, dask_worker: Any) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import json
+import os
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -271,8 +272,10 @@ def test_workers_make_the_same_bits(pictures: Path, batch: Batch) -> None:
     pairs = table(pictures, *MIXED, columns="kind,source,target")
     words = (*ASKED[:2], "--image", "--size 24x24 --convention unit-xy")
     batch(pairs, *words, "-o", "one")
+    before = dict(os.environ)
     code, out, err = batch(pairs, *words, "-o", "two", "--workers", 2, "--json")
     assert code == 1
+    assert dict(os.environ) == before
     assert "4/4 " in err
     assert "error: d-none: " in err
     assert [row["name"] for row in json.loads(out)["pairs"]] == ["a-b", "d-e", "d-none", "b-c"]
