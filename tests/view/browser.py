@@ -146,6 +146,13 @@ class Browser(Driven):
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def key(self, key: str, code: str = "", held: int = 0) -> None:
+        """Press and release a key, ``held`` the bits of those held down meanwhile."""
+        for kind in ("keyDown", "keyUp"):
+            self.call(
+                "Input.dispatchKeyEvent", type=kind, key=key, code=code or key, modifiers=held
+            )
+
     def complaints(self) -> list[str]:
         """Console errors and warnings, exceptions and refused requests since ``open``."""
         self.evaluate("0")

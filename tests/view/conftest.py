@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from browser import Browser, find_browser
 from pick_cases import ASSETS
-from pick_visit import Visit
+from pick_visit import Visit, visiting
 
 from splatmorph.landmarks import Landmarks
-from splatmorph.view.pick import Desk, Server, open_desk
+from splatmorph.view.pick import Desk, open_desk
 
 
 @pytest.fixture(scope="module")
@@ -31,29 +31,14 @@ def visits(browsers: list[Browser], tmp_path: Path) -> Iterator[Callable[..., Vi
     program = find_browser()
     if program is None:
         pytest.skip("no Chromium here (apt-get install chromium, or set SPLATMORPH_TEST_BROWSER)")
-    servers: list[Server] = []
+    with contextlib.ExitStack() as until_the_end:
 
-    def visit(*names: str) -> Visit:
-        if not browsers:
-            browsers.append(Browser(program, 1300, 760, offline=False))
-        paths = [
-            tmp_path / (f"{name}.ply" if name not in names[:i] else f"{name}-{i}.ply")
-            for i, name in enumerate(names)
-        ]
-        for name, path in zip(names, paths, strict=True):
-            shutil.copy(ASSETS / f"{name}.ply", path)
-        server = Server(open_desk(paths), "splatmorph fit " + " ".join(path.name for path in paths))
-        servers.append(server)
-        threading.Thread(target=server.serve_forever, daemon=True).start()
-        truth = tuple(Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in names)
-        made = Visit(browsers[0], server, paths, truth)
-        made.open()
-        return made
+        def visit(*names: str) -> Visit:
+            if not browsers:
+                browsers.append(Browser(program, 1300, 760, offline=False))
+            return until_the_end.enter_context(visiting(browsers[0], tmp_path, *names))
 
-    yield visit
-    for server in servers:
-        server.shutdown()
-        server.server_close()
+        yield visit
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,10 @@ class Driven:
     patience: float
     """Seconds that anything may take."""
 
+    def close(self) -> None:
+        """End the browser and remove its profile."""
+        raise NotImplementedError
+
     def visit(self, address: str) -> None:
         """Go to an address."""
         raise NotImplementedError
@@ -25,6 +29,10 @@ class Driven:
 
     def click(self, x: float, y: float) -> None:
         """Press and release the mouse, in CSS pixels."""
+        raise NotImplementedError
+
+    def key(self, key: str) -> None:
+        """Press and release a key that writes a character."""
         raise NotImplementedError
 
     def screenshot(self) -> np.ndarray:

@@ -190,9 +190,9 @@ class Firefox(Driven):
         source = {"type": "pointer", "id": "mouse", "actions": steps}
         self.call("input.performActions", context=self.context, actions=[source])
 
-    def key(self, value: str) -> None:
+    def key(self, key: str) -> None:
         """Press and release a key; Enter is ``\\ue007``."""
-        steps = [{"type": "keyDown", "value": value}, {"type": "keyUp", "value": value}]
+        steps = [{"type": "keyDown", "value": key}, {"type": "keyUp", "value": key}]
         source = {"type": "key", "id": "keys", "actions": steps}
         self.call("input.performActions", context=self.context, actions=[source])
 

@@ -1,16 +1,21 @@
-"""A hand at the picker's page in a headless Chromium."""
+"""A hand at the picker's page in a browser."""
 
 from __future__ import annotations
 
+import contextlib
+import shutil
+import threading
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from browser import Browser
+from pick_cases import ASIDE, ASSETS, STRAIGHT
 
 from splatmorph.landmarks import Landmarks
-from splatmorph.view.pick import Server
+from splatmorph.view.pick import Server, open_desk
 
 QUIET = (
     "(async () => { let last; do { last = picker.busy; await last; } "
@@ -22,7 +27,8 @@ QUIET = (
 class Visit:
     """A browser at a picker's page, by a hand that knows where the true marks are."""
 
-    browser: Browser
+    browser: Any
+    """Driven; keys held down, dragging, touch and complaints are Chromium's alone."""
     server: Server
     paths: list[Path]
     truth: tuple[Landmarks, ...]
@@ -54,9 +60,7 @@ class Visit:
         )
 
     def click(self, pane: int, name: str) -> None:
-        x, y = self.where(pane, name)
-        self.mouse("mousePressed", x, y)
-        self.mouse("mouseReleased", x, y)
+        self.browser.click(*self.where(pane, name))
         self.quiet()
 
     def tap(self, pane: int, name: str) -> None:
@@ -86,11 +90,7 @@ class Visit:
         self.quiet()
 
     def key(self, key: str, code: str = "", *, control: bool = False, shift: bool = False) -> None:
-        held = 2 * control + 8 * shift
-        for kind in ("keyDown", "keyUp"):
-            self.browser.call(
-                "Input.dispatchKeyEvent", type=kind, key=key, code=code or key, modifiers=held
-            )
+        self.browser.key(key, code, 2 * control + 8 * shift)
         self.quiet()
 
     def turn(self, angle: float) -> None:
@@ -106,7 +106,55 @@ class Visit:
         self.click(0, name)
         self.click(1, name)
 
+    def pick_features(self) -> list[str]:
+        """Twelve features of the face, those on its sides from two directions, named."""
+        for name in STRAIGHT:
+            self.pick(name)
+        for name in ASIDE:
+            self.turn(0.0)
+            self.pick(name)
+            # Once more from aside, on both: the sights are crossed.
+            self.turn(0.5 if name.endswith("left") else -0.5)
+            for pane in (0, 1):
+                self.browser.key("e")
+                self.click(pane, name)
+        names = [*STRAIGHT, *ASIDE]
+        for row, name in zip(self.rows(), names, strict=True):
+            self.browser.evaluate(f"picker.act('rename', {{ row: {row['id']}, name: '{name}' }})")
+        self.quiet()
+        return names
+
+    def saved(self, names: list[str]) -> None:
+        """What was saved are these landmarks, each where it truly is."""
+        for path, truth in zip(self.paths, self.truth, strict=True):
+            marks = Landmarks.read(path.with_suffix(".landmarks.json"))
+            assert marks.names == tuple(names)
+            there = truth.points[[truth.names.index(name) for name in names]]
+            errors = dict(zip(names, (marks.points - there).norm(dim=1).tolist(), strict=True))
+            assert max(errors.values()) < 2e-3, errors
+
     def off(self, side: int, name: str, row: dict) -> float:
         marks = self.truth[side]
         true = marks.points[marks.names.index(name)].numpy()
         return float(np.linalg.norm(np.array(row["places"][side]["point"]) - true))
+
+
+@contextlib.contextmanager
+def visiting(browser: Any, folder: Path, *names: str) -> Iterator[Visit]:
+    """The picker's page open on copies of these samples in a folder, without landmarks."""
+    paths = [
+        folder / (f"{name}.ply" if name not in names[:i] else f"{name}-{i}.ply")
+        for i, name in enumerate(names)
+    ]
+    for name, path in zip(names, paths, strict=True):
+        shutil.copy(ASSETS / f"{name}.ply", path)
+    truth = tuple(Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in names)
+    server = Server(open_desk(paths), "splatmorph fit " + " ".join(path.name for path in paths))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        visit = Visit(browser, server, paths, truth)
+        visit.open()
+        yield visit
+    finally:
+        server.shutdown()
+        server.server_close()

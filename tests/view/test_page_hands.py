@@ -10,8 +10,7 @@ import pytest
 from browser import Browser, find_browser
 from driven import Driven
 from firefox import Firefox, find_firefox, virtual_display
-from page_cases import GROUND, our_picture, psnr
-from test_page import scene
+from page_cases import GROUND, our_picture, psnr, scene
 
 from splatmorph.fitting import fit
 from splatmorph.flows import make_flow

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from pick_cases import ASIDE, STRAIGHT
+from pick_cases import STRAIGHT
 from pick_visit import Visit
 
 from splatmorph.io import read
@@ -22,32 +22,13 @@ def visit(visits: Callable[..., Visit]) -> Visit:
 
 
 def test_twelve_features_clicked_are_where_they_are_and_the_fit_meets_them(visit, tmp_path):
-    for name in STRAIGHT:
-        visit.pick(name)
-    for name in ASIDE:
-        visit.turn(0.0)
-        visit.pick(name)
-        # Once more from aside, on both: the sights are crossed.
-        visit.turn(0.5 if name.endswith("left") else -0.5)
-        for pane in (0, 1):
-            visit.key("e")
-            visit.click(pane, name)
-    assert len(visit.rows()) == 12
-    for row, name in zip(visit.rows(), [*STRAIGHT, *ASIDE], strict=True):
-        visit.browser.evaluate(f"picker.act('rename', {{ row: {row['id']}, name: '{name}' }})")
-    visit.quiet()
+    names = visit.pick_features()
     visit.key("s", "KeyS", control=True)
     assert visit.browser.evaluate("document.getElementById('done').open")
     assert "splatmorph fit" in visit.browser.evaluate(
         "document.getElementById('command').textContent"
     )
-    found = [Landmarks.read(path.with_suffix(".landmarks.json")) for path in visit.paths]
-    for side, marks in enumerate(found):
-        assert marks.names == (*STRAIGHT, *ASIDE)
-        true = visit.truth[side]
-        there = true.points[[true.names.index(name) for name in marks.names]]
-        errors = dict(zip(marks.names, (marks.points - there).norm(dim=1).tolist(), strict=True))
-        assert max(errors.values()) < 2e-3, errors
+    visit.saved(names)
     run = fit_run(*visit.paths, out=tmp_path / "run", finding=Finding(auto=False))
     assert "met" in run.legs[0].report["status"]
     assert max(run.legs[0].report["errors"].values()) < 1e-3
