@@ -13,7 +13,7 @@ from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.registration.cleaning import without_floaters
-from splatmorph.registration.surfaces import see_surface
+from splatmorph.registration.surfaces import surface_points
 
 COUNTERPART = 0.06
 """Radii within which a surface has a counterpart."""
@@ -45,9 +45,9 @@ def half_time_gap(
     ``frame`` is S, source → target; the source's units. None where one shows no solid surface.
     """
     try:
-        (a, _, radius), (b, _, _) = (see_surface(without_floaters(g)) for g in (source, target))
+        (a, radius), (b, _) = (surface_points(without_floaters(g)) for g in (source, target))
     except LandmarkError:
         return None
-    here = flow(torch.from_numpy(a.points).float(), 0.5)
-    there = flow(frame.inverse()(torch.from_numpy(b.points)).float(), -0.5)
+    here = flow(torch.from_numpy(a).float(), 0.5)
+    there = flow(frame.inverse()(torch.from_numpy(b)).float(), -0.5)
     return gap_between(here, there, radius)

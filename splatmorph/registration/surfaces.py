@@ -63,6 +63,22 @@ def see_surface(gaussians: Gaussians, depth: Depth = "surface") -> tuple[Surface
     Raises:
         LandmarkError: next to no surface is to be seen.
     """
+    points, normals, colours, center, radius = _seen(gaussians, depth)
+    return Surface(points, normals, _features(points, normals, colours, radius)), center, radius
+
+
+def surface_points(gaussians: Gaussians) -> tuple[Array, float]:
+    """The points (n, 3) that ``see_surface`` finds, described by nothing, and the radius.
+
+    Raises:
+        LandmarkError: as ``see_surface``.
+    """
+    points, _, _, _, radius = _seen(gaussians, "surface")
+    return points, radius
+
+
+def _seen(gaussians: Gaussians, depth: Depth) -> tuple[Array, Array, Array, Array, float]:
+    """Points, normals and colours of the surface, the object's center and radius."""
     means, _, scales, opacities, _ = renderer_arrays(gaussians)
     bounds = bounds_of(means, opacities, scales)
     cameras = around(bounds.center, 1.02 * bounds.radius, VIEWS, SIDE)
@@ -83,8 +99,7 @@ def see_surface(gaussians: Gaussians, depth: Depth = "surface") -> tuple[Surface
     points, normals, colours = points[kept], normals[kept], colours[kept]
     center, radius = _robust_ball(points)
     near = np.linalg.norm(points - center, axis=1) < 4 * radius
-    points, normals, colours = points[near], normals[near], colours[near]
-    return Surface(points, normals, _features(points, normals, colours, radius)), center, radius
+    return points[near], normals[near], colours[near], center, radius
 
 
 def _lifted(cameras: Cameras, pictures: Pictures) -> tuple[Array, Array, Array, Array]:
