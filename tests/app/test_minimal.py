@@ -10,8 +10,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from outcomes import failed
 from PIL import Image
-from test_app import failed
 
 Run = Callable[..., tuple[int, str, str]]
 HOUSE = Path(__file__).parents[2]

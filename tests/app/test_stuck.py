@@ -7,8 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from outcomes import failed
 from PIL import Image
-from test_app import failed
 
 from splatmorph.app import run
 
