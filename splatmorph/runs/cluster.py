@@ -36,12 +36,12 @@ class Lost:
 def local_cluster(workers: int) -> Iterator[Any]:
     """A client of ``workers`` processes on this machine, which share its cores out.
 
-    They speak TLS with a key of their own, so that nobody else on the machine gives them tasks.
+    Each has no more of them than OMP_NUM_THREADS says, where it says anything. They speak TLS with a key of their own, so that nobody else on the machine gives them tasks.
 
     Raises ``MissingExtraError``.
     """
     distributed = _distributed()
-    each = max(1, cores() // workers)
+    each = max(1, min(cores() // workers, _threads_asked()))
     with (
         _quietly(distributed, threads=each),
         distributed.LocalCluster(
@@ -144,6 +144,11 @@ def _quietly(distributed: Any, threads: int) -> Iterator[None]:
         for name in os.environ.keys() - environment.keys():
             del os.environ[name]
         os.environ.update(environment)
+
+
+def _threads_asked() -> int:
+    said = os.environ.get("OMP_NUM_THREADS", "")
+    return int(said) if said.isdecimal() else cores()
 
 
 def _share_cores(each: int, dask_worker: Any) -> None:

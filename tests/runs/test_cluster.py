@@ -36,6 +36,14 @@ def test_tasks_outlive_their_workers(
     assert found[3] == Lost("unexpected ZeroDivisionError on a worker: three")
 
 
+def test_workers_take_no_more_cores_than_asked(
+    dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    with local_cluster(1) as client:
+        assert dict(gather(client, once, [(str(tmp_path), 0)])) == {0: (0, 1)}
+
+
 def test_a_scheduler_is_used_only_with_workers_of_use(
     dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
