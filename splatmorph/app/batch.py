@@ -105,8 +105,9 @@ def batch(
                     console.fail(f"{result.name}: {result.message}")
         finally:
             results = [done[number] for number in sorted(done)]
-            write_summary(folder / SUMMARY, results)
-            write_page(folder / PAGE, results, pairs.stem)
+            if results:  # else no worker was found: what another batch has summed up stays
+                write_summary(folder / SUMMARY, results)
+                write_page(folder / PAGE, results, pairs.stem)
     if json:
         console.emit_json({"pairs": [dataclasses.asdict(result) for result in results]})
     else:
@@ -129,6 +130,7 @@ def _results(tasks: Sequence[Task], engine: Engine, json: bool) -> Iterator[tupl
     if engine.scheduler is None:
         cluster = local_cluster(min(engine.workers or 1, len(tasks)))
     else:
+        console.note(f"asking the workers at {engine.scheduler}")
         cluster = remote_cluster(engine.scheduler, tasks[0].folder)
     with cluster as client, console.progress("pairs") as update:
         update(0, len(tasks), "")

@@ -7,8 +7,10 @@ import functools
 import logging
 import os
 import secrets
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -36,26 +38,26 @@ class Lost:
 def local_cluster(workers: int) -> Iterator[Any]:
     """A client of ``workers`` processes on this machine, which share its cores out.
 
-    Each has no more of them than OMP_NUM_THREADS says, where it says anything. They speak TLS with a key of their own, so that nobody else on the machine gives them tasks.
+    None has more of them than OMP_NUM_THREADS says, where it says anything. They speak TLS with a
+    key of their own, so that nobody else on the machine gives them tasks.
 
     Raises ``MissingExtraError``.
     """
     distributed = _distributed()
     each = max(1, min(cores() // workers, _threads_asked()))
-    with (
-        _quietly(distributed, threads=each),
-        distributed.LocalCluster(
-            n_workers=workers,
-            threads_per_worker=1,
-            processes=True,
-            security=True,
-            dashboard_address=None,
-            silence_logs=logging.CRITICAL,
-            # Worker processes keep no more than a row at a time, and a row may need the machine.
-            memory_limit=0,
-        ) as cluster,
-        distributed.Client(cluster) as client,
-    ):
+    with _quietly(distributed, threads=each), contextlib.ExitStack() as stack:
+        with _deaf_to_interrupts():
+            cluster = distributed.LocalCluster(
+                n_workers=workers,
+                threads_per_worker=1,
+                processes=True,
+                security=True,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+                # Workers keep no more than a row at a time, and a row may need the machine.
+                memory_limit=0,
+            )
+        client = stack.enter_context(distributed.Client(stack.enter_context(cluster)))
         client.register_worker_callbacks(functools.partial(_share_cores, each))
         yield client
 
@@ -144,6 +146,24 @@ def _quietly(distributed: Any, threads: int) -> Iterator[None]:
         for name in os.environ.keys() - environment.keys():
             del os.environ[name]
         os.environ.update(environment)
+
+
+@contextlib.contextmanager
+def _deaf_to_interrupts() -> Iterator[None]:
+    """Threads that begin inside, and all processes that they begin, don't hear Ctrl-C.
+
+    A terminal sends it to everybody, and only the caller knows how to end.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    # Begun in such a thread it would let it hear again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _threads_asked() -> int:

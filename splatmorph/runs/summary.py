@@ -33,6 +33,7 @@ th button:focus-visible {{ outline: 2px solid }}
 th[aria-sort=ascending] button::after {{ content: " ▲" }}
 th[aria-sort=descending] button::after {{ content: " ▼" }}
 .text {{ text-align: left }}
+td[data-value] {{ white-space: nowrap }}
 .failed {{ color: #c33 }} .missed {{ color: #b70 }}
 img {{ display: block; max-width: 128px; max-height: 128px }}
 </style>
@@ -82,14 +83,18 @@ def write_page(path: Path, results: Sequence[Result], title: str) -> None:
     Raises ``WriteError``.
     """
     columns = [field for field in dataclasses.fields(Result) if field.name != "files"]
-    head = "".join(f"<th><button>{field.name.replace('_', ' ')}</button></th>" for field in columns)
+    head = "".join(
+        f'<th class="{"text" if "str" in str(field.type) else "number"}"><button>'
+        f"{field.name.replace('_', ' ')}</button></th>"
+        for field in columns
+    )
     statuses = [result.status for result in results]
     counts = ", ".join(f"{statuses.count(one)} {one}" for one in sorted(set(statuses)))
     rows = "\n".join(_row(path.parent, result) for result in results)
     page = PAGE.format(
         title=html.escape(title),
         counts=f"{len(results)} rows: {counts}",
-        head=f"<th></th>{head}<th>files</th>",
+        head=f'<th></th>{head}<th class="text">files</th>',
         rows=rows,
     )
     with atomic_write(path) as partial:
@@ -110,7 +115,7 @@ def _cells(folder: Path, result: Result) -> Iterator[str]:
         if name == "files":
             links = (f'<a href="{quote(file)}">{html.escape(file)}</a>' for file in result.files)
             yield f'<td class="text">{" ".join(links)}</td>'
-        elif isinstance(value, float):
+        elif isinstance(value, int | float):
             yield f'<td data-value="{value!r}">{value:.3g}</td>'
         else:
             text = "" if value is None else html.escape(str(value))

@@ -1,4 +1,4 @@
-"""A task that kills its worker: in a module of its own, for workers to load soon."""
+"""Tasks that tell of their worker or kill it: in a module of its own, for workers to load soon."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ def once(task: tuple[str, int]) -> tuple[int, int]:
     if number == 3:
         raise ZeroDivisionError("three")
     return number, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+
+
+def deaf(_: int) -> bool:
+    """Whether Ctrl-C passes this worker by."""
+    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, ())

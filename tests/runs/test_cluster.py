@@ -11,7 +11,7 @@ import pytest
 from splatmorph.errors import MissingExtraError, OutputExistsError, RunError, WriteError
 from splatmorph.runs.batch import Record, alone
 from splatmorph.runs.cluster import Lost, gather, local_cluster, remote_cluster
-from tests.runs.deadly import once
+from tests.runs.deadly import deaf, once
 
 
 @pytest.fixture
@@ -36,12 +36,15 @@ def test_tasks_outlive_their_workers(
     assert found[3] == Lost("unexpected ZeroDivisionError on a worker: three")
 
 
-def test_workers_take_no_more_cores_than_asked(
+@pytest.mark.skipif(sys.platform == "win32", reason="no masks")
+def test_workers_take_no_more_cores_than_asked_and_leave_interrupts_to_us(
     dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     with local_cluster(1) as client:
         assert dict(gather(client, once, [(str(tmp_path), 0)])) == {0: (0, 1)}
+        assert dict(gather(client, deaf, [0])) == {0: True}
+    assert not deaf(0)
 
 
 def test_a_scheduler_is_used_only_with_workers_of_use(
