@@ -27,8 +27,15 @@ def farthest(
     if first is None:
         first = int(((points - points.mean(0)) ** 2).sum(1).argmax())
     squares = None if stretch is None else stretch**2
+    axes = np.ascontiguousarray(points.T)
     picked, gap = [first], np.full(len(points), np.inf)
+    square, offset = np.empty_like(gap), np.empty_like(gap)
     for _ in range(count - 1):
-        gap = np.minimum(gap, ((points - points[picked[-1]]) ** 2).sum(1))
-        picked.append(int((gap if squares is None else gap * squares).argmax()))
+        square.fill(0)
+        for axis in axes:
+            np.subtract(axis, axis[picked[-1]], out=offset)
+            square += np.multiply(offset, offset, out=offset)
+        np.minimum(gap, square, out=gap)
+        spread = gap if squares is None else np.multiply(gap, squares, out=offset)
+        picked.append(int(spread.argmax()))
     return np.array(picked[:count], dtype=np.intp)

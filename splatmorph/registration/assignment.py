@@ -19,9 +19,9 @@ def soft(costs: Tensor, outlier: float = 1.0) -> Tensor:
     kernel = torch.exp(-costs)
     column = torch.ones_like(kernel[..., :1, :])
     for _ in range(ROUNDS):
-        row = 1 / ((kernel * column).sum(-1, keepdim=True) + outlier)
-        column = 1 / ((kernel * row).sum(-2, keepdim=True) + outlier)
-    return kernel * row * column
+        row = 1 / (kernel @ column.mT + outlier)
+        column = 1 / (row.mT @ kernel + outlier)
+    return kernel.mul_(row).mul_(column)
 
 
 def assign(costs: Tensor) -> Tensor:
@@ -35,8 +35,8 @@ def assign(costs: Tensor) -> Tensor:
 
 def moments(plan: Tensor, points: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Of each row of a plan (n, m) over points (m, 3): mass (n,), mean (n, 3), variance (n,)."""
-    mass = plan.sum(1)
-    share = plan / (mass[:, None] + 1e-9)
-    mean = share @ points
-    variance = share @ points.square().sum(1) - mean.square().sum(1)
-    return mass, mean, variance.clamp_min(0)
+    columns = torch.cat([torch.ones_like(points[:, :1]), points, points.square()], 1)
+    sums = plan @ columns
+    mass = sums[:, 0]
+    mean, square = (sums[:, 1:] / (mass[:, None] + 1e-9)).split(3, 1)
+    return mass, mean, (square - mean.square()).sum(1).clamp_min(0)

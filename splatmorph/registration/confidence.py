@@ -8,12 +8,14 @@ from torch import Tensor
 
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.registration.gaps import Gap
+from splatmorph.registration.matches import Partners
 from splatmorph.registration.pose import Pose, rival
 
 SURE, FAIR = 0.7, 0.45
-NEIGHBOURS = 24
-HALF_SURE = 0.02
-"""Mean distinctness of the samples near a point at which the point counts half."""
+NEIGHBOURS = 50
+"""Samples whose matches speak for a point among them."""
+HALF_SURE = 0.03
+"""Radii by which matches miss the flow where a point counts half."""
 UNLIKE = 14.0
 """Score of a pose from which two splats look so unlike that surfaces alone give a start only;
 read off five heads, their warps and ten ICT persons."""
@@ -21,11 +23,20 @@ ALONE, TELLING = 0.06, 0.008
 """Lead of the best pose, mean distinctness of the matches: below, they are doubted."""
 
 
-def of_points(points: Tensor, weights: Tensor) -> Tensor:
-    """(n,) how sure each sample's landmark is: how distinct the matches round it were."""
+def of_points(points: Tensor, partners: Partners, whole: float) -> Tensor:
+    """(n,) how sure each sample's landmark is: the geometric mean of ``whole``, that of the whole
+    search, and of how well the flow follows the matches round it, which miss it by their common
+    part, as far as they are distinct, and by half of what they scatter.
+
+    Chosen on james → p2-1, persons 1 and a p2-1 whose face is shrunk.
+    """
     near = cKDTree(points.numpy()).query(points.numpy(), min(NEIGHBOURS, len(points)))[1]
-    local = weights.double()[torch.from_numpy(near)].mean(1)
-    return local / (local + HALF_SURE)
+    offset, sure = (
+        one.double()[torch.from_numpy(near)] for one in (partners.offset, partners.sure)
+    )
+    common = (offset * sure[..., None]).sum(1) / (sure.sum(1, keepdim=True) + 1e-4 * near.shape[1])
+    miss = common.norm(dim=1) + offset.norm(dim=2).mean(1) / 2
+    return (whole / (1 + (miss / HALF_SURE).square())).sqrt()
 
 
 def of_faces(points: Tensor, gap: Gap) -> float:

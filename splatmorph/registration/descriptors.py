@@ -24,8 +24,9 @@ ROOM = 1.9
 BELT = 0.8
 """The cameras keep this far from the poles: pictures from right above tell little."""
 BINS = 6
-SCALES = (2.5, 6.0)
-"""Pixels; a descriptor's 3 × 3 cells lie two of these apart."""
+SCALES = ((2.5, 1), (6.0, 2))
+"""Pixels, and how many of them are one where gradients are histogrammed: the coarse see no more in
+full. A descriptor's 3 × 3 cells lie two scales apart."""
 CELLS = 9
 CLIP = 0.3
 """Most that one component may be of the descriptor's length."""
@@ -69,15 +70,14 @@ def describe(gaussians: Gaussians, points: Array, normals: Array, cameras: Camer
     depth = np.where(pictures.alpha > SOLID, pictures.depth, np.nan)
     visible = [_visible(cameras, i, points, normals, depth[i]) for i in range(len(cameras))]
     channels = torch.stack([light, _relief(torch.from_numpy(depth), cameras.focal)], 1)
-    views = channels.flatten(0, 1)
-    scales = [_orientations(views, scale).unflatten(0, channels.shape[:2]) for scale in SCALES]
     norm = math.sqrt(channels.shape[1] * len(SCALES))
+    energies = [_energies(channels.flatten(0, 1), scale, stride) for scale, stride in SCALES]
     seen = []
     for i, (index, weights, pixels) in enumerate(visible):
         cells = [
-            _cells(energies[i, channel], scale, pixels)
+            _cells(of_scale[i * channels.shape[1] + channel], scale / stride, pixels // stride)
             for channel in range(channels.shape[1])
-            for scale, energies in zip(SCALES, scales, strict=True)
+            for of_scale, (scale, stride) in zip(energies, SCALES, strict=True)
         ]
         seen.append(Seen(index, weights, torch.cat(cells, 1) / norm))
     return seen
@@ -86,17 +86,25 @@ def describe(gaussians: Gaussians, points: Array, normals: Array, cameras: Camer
 def distances(a: list[Seen], b: list[Seen], count: tuple[int, int]) -> tuple[Tensor, Tensor]:
     """Mean squared distance (n, m) of two sets' descriptors over the views that see both, 0 to 2,
     and the weight (n, m) of those views; ``count`` is (n, m)."""
-    total, weight = torch.zeros(count), torch.zeros(count)
+    # The views' Σ w·w'·|x - x'|² = 2 Σ w·w' - 2 Σ (w·x)·(w'·x'), as all x have length 1.
+    alike = torch.zeros(count)
     for one, other in zip(a, b, strict=True):
-        if not len(one.index) or not len(other.index):
-            continue
-        both = one.weights[:, None] * other.weights
-        unlike = (2 - 2 * one.values @ other.values.T) * both
-        where = (one.index[:, None], other.index[None])
-        total[where] += unlike
-        weight[where] += both
-    known = weight > COMMON
-    return torch.where(known, total / weight.clamp_min(COMMON), UNKNOWN), weight
+        if len(one.index) and len(other.index):
+            x, y = (side.weights[:, None] * side.values for side in (one, other))
+            rows = x.new_zeros(len(x), count[1])
+            rows[:, other.index] = x @ y.T
+            alike.index_add_(0, one.index, rows)
+    weight = _weights(a, count[0]) @ _weights(b, count[1]).T
+    unlike = (weight - alike).mul_(2).div_(weight.clamp_min(COMMON))
+    return unlike.masked_fill_(weight <= COMMON, UNKNOWN), weight
+
+
+def _weights(seen: list[Seen], count: int) -> Tensor:
+    """(count, c): the weight of each point in each view."""
+    weights = torch.zeros(count, len(seen))
+    for column, one in zip(weights.T, seen, strict=True):
+        column[one.index] = one.weights
+    return weights
 
 
 def _visible(
@@ -134,44 +142,52 @@ def _relief(depth: Tensor, focal: float) -> Tensor:
     return shape - blur(shape, RELIEF)
 
 
-def _orientations(pictures: Tensor, scale: float) -> Tensor:
-    """Gradient energy by unsigned direction, blurred: (c, h, w) -> (c, h, w, BINS)."""
-    smooth = blur(pictures, scale / 3)
+def _energies(pictures: Tensor, scale: float, stride: int) -> Tensor:
+    """Gradient energy by unsigned direction, blurred: (c, n, n) -> (c, BINS, n / stride, …)."""
+    smooth = blur(pictures, scale / 3, stride)
     down, across = torch.gradient(smooth, dim=(1, 2))
+    # With the gradient's length g and direction θ: g·cos²(2θ - turn) where the cosine is positive.
     square = across.square() + down.square() + 1e-20
-    cosine, sine = (across.square() - down.square()) / square, 2 * across * down / square
-    strength = square.sqrt()
-    energies = []
-    for turn in (2 * math.pi * torch.arange(BINS) / BINS).tolist():
-        along = (cosine * math.cos(turn) + sine * math.sin(turn)).clamp_min(0).square()
-        energies.append(blur(strength * along, scale))
-    return torch.stack(energies, -1)
+    share = square.pow(-0.75)
+    cosine, sine = (across.square() - down.square()) * share, 2 * across * down * share
+    energies = pictures.new_empty(len(pictures), BINS, *smooth.shape[1:])
+    for number in range(BINS):
+        turn = 2 * math.pi * number / BINS
+        along = (cosine * math.cos(turn)).add_(sine, alpha=math.sin(turn)).clamp_min_(0)
+        energies[:, number] = blur(along.square_(), scale / stride)
+    return energies
 
 
 def _cells(energies: Tensor, scale: float, pixels: Tensor) -> Tensor:
-    """Descriptors (m, CELLS · BINS) at pixels (m, 2) of a picture's energies (h, w, BINS)."""
-    step, side = round(2 * scale), len(energies)
+    """Descriptors (m, CELLS · BINS) at pixels (m, 2) of a picture's energies (BINS, h, w)."""
+    step, side = round(2 * scale), energies.shape[-1]
     x, y = pixels.T
     cells = [
-        energies[(y + dy).clamp(0, side - 1), (x + dx).clamp(0, side - 1)]
+        energies[:, (y + dy).clamp(0, side - 1), (x + dx).clamp(0, side - 1)]
         for dy in (-step, 0, step)
         for dx in (-step, 0, step)
     ]
-    value = torch.cat(cells, 1)
+    value = torch.cat(cells).T
     value = (value / (value.norm(dim=1, keepdim=True) + 1e-9)).clamp_max(CLIP)
     return value / (value.norm(dim=1, keepdim=True) + 1e-9)
 
 
-def blur(pictures: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur of square pictures (c, n, n), mirrored at the border: B·picture·Bᵀ."""
-    matrix = _blur_matrix(pictures.shape[-1], sigma).to(pictures)
-    return matrix @ pictures @ matrix.T
+def blur(pictures: Tensor, sigma: float, stride: int = 1) -> Tensor:
+    """Gaussian blur of square pictures (c, n, n), mirrored at the border: B·picture·Bᵀ.
+
+    With a stride, of the middles of blocks of so many pixels: (c, n / stride, n / stride).
+    """
+    matrix = _blur_matrix(pictures.shape[-1], sigma, stride).to(pictures)
+    across = pictures @ matrix.T
+    return torch.bmm(matrix.expand(len(pictures), *matrix.shape), across)
 
 
-def _blur_matrix(side: int, sigma: float) -> Tensor:
-    reach = int(3 * sigma + 0.5)
-    offsets = torch.arange(-reach, reach + 1)
-    weights = torch.exp(-0.5 * (offsets / sigma) ** 2)
-    where = (torch.arange(side)[:, None] + offsets) % (2 * side)
+def _blur_matrix(side: int, sigma: float, stride: int) -> Tensor:
+    middles = stride * torch.arange(side // stride) + (stride - 1) / 2
+    reach = int(3 * sigma + 0.5) + stride - 1
+    where = middles[:, None].floor().long() + torch.arange(-reach, reach + 1)
+    weights = torch.exp(-0.5 * ((where - middles[:, None]) / sigma) ** 2)
+    where = where % (2 * side)
     where = torch.where(where < side, where, 2 * side - 1 - where)
-    return torch.zeros(side, side).scatter_add_(1, where, weights.expand(side, -1)) / weights.sum()
+    weights /= weights.sum(1, keepdim=True)
+    return torch.zeros(len(middles), side).scatter_add_(1, where, weights)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 from scipy.spatial import cKDTree
@@ -25,6 +26,10 @@ SHARP = 0.06
 """Spread within the window, in radii, at which a match counts half."""
 SHRINK = 0.05
 """Power of σ / WINDOW by which the spread shrinks as σ does."""
+PLAIN, MOST_TRUST = 0.0095, 4.0
+"""Mean distinctness of matches on grey skin: where pictures tell more, the field may bend more, by
+the square of the ratio and at most so many times. Chosen on persons 0 and 1, james → p2-1, and
+p2-1 and status, twisted and swollen."""
 NEIGHBOURS = 8
 
 
@@ -63,19 +68,36 @@ HELD = replace(FREE, planes=(0.02, 0.1), bending=(6e-5, 2e-5))
 """Where pairs are given: a face's, or landmarks'."""
 
 
+class Partners(NamedTuple):
+    """What n samples were matched to, at half-time."""
+
+    mean: Tensor
+    """(n, 3) where a sample's partner is."""
+    offset: Tensor
+    """(n, 3) from the sample to it."""
+    mass: Tensor
+    """(n,) how much of the sample was matched, 0 to 1."""
+    sure: Tensor
+    """(n,) how distinct its partner is, 0 to 1."""
+
+    def weights(self, sigma: float) -> Tensor:
+        """(n,) what the matches count: less for partners far off, by Cauchy's loss."""
+        return self.sure / (1 + (self.offset.norm(dim=1) / sigma).square())
+
+
 @dataclass(frozen=True)
 class Matched:
     """The flow from source to target, and what speaks for it."""
 
     node: Node
     """In the target's unit coordinates."""
-    weights: tuple[Tensor, Tensor]
-    """(n,), (m,) how distinct the match of each sample was, 0 to 1."""
+    partners: tuple[Partners, ...]
+    """Of the source's samples and of the target's, in the last round."""
 
     @property
     def distinct(self) -> float:
-        """Mean of the weights."""
-        return float(torch.cat(self.weights).mean())
+        """How distinct the matches were, mean of 0 to 1."""
+        return _distinct(self.partners)
 
 
 def match(
@@ -98,7 +120,7 @@ def match(
         if on_round is not None:
             on_round(number, len(schedule.sigmas))
         state.advance(number)
-    return Matched(state.node, state.weights)
+    return Matched(state.node, state.partners)
 
 
 class _State:
@@ -116,7 +138,7 @@ class _State:
         self.fixed += FACINGS * (1 - self.a.normals @ self.b.normals.T)
         self.looks = self.fixed
         self.node = still()
-        self.weights = torch.zeros(len(self.a)), torch.zeros(len(self.b))
+        self.partners: tuple[Partners, ...] = ()
         if held is not None:
             centers = min(len(held.p), schedule.centers[1])
             self.node = regress(
@@ -131,27 +153,13 @@ class _State:
         here, there = flow(self.node, a.points, 0.5), flow(self.node, b.points, -0.5)
         if number in schedule.looks_anew:
             self.looks = self.fixed + LOOKS * self._compare(here, there)
-        apart = torch.cdist(here, there).square()
-        plan = assign(apart / (2 * sigma**2) + self.looks)
-        wide = plan if sigma >= WINDOW else assign(apart / (2 * WINDOW**2) + self.looks)
-        shrink = (min(sigma, WINDOW) / WINDOW) ** SHRINK
-        matched = []
-        for own, other, given, window in (
-            (here, there, plan, wide),
-            (there, here, plan.T, wide.T),
-        ):
-            mass, mean, _ = moments(given, other)
-            spread = moments(window, other)[2] * shrink
-            sure = mass.clamp(0, 1) * SHARP**2 / (spread + SHARP**2)
-            near = 1 / (1 + ((mean - own).norm(dim=1) / sigma).square())
-            matched.append((mean, sure, sure * near))
-        (ahead, sure_a, weight_a), (back, sure_b, weight_b) = matched
-        self.weights = sure_a, sure_b
+        self.partners = ahead, back = self._matches(here, there, sigma)
+        trust = min(MOST_TRUST, max(1.0, (_distinct(self.partners) / PLAIN) ** 2)) ** done
         count = len(a) + len(b)
         pairs = Pairs(
-            torch.cat([a.points, flow(self.node, back, -0.5)]),
-            torch.cat([flow(self.node, ahead, 0.5), b.points]),
-            torch.cat([weight_a, weight_b]) / count,
+            torch.cat([a.points, flow(self.node, back.mean, -0.5)]),
+            torch.cat([flow(self.node, ahead.mean, 0.5), b.points]),
+            torch.cat([side.weights(sigma) for side in self.partners]) / count,
         )
         if self.held is not None:
             share = self.held.weights * (schedule.held / self.held.weights.sum())
@@ -160,9 +168,26 @@ class _State:
             self.node,
             pairs,
             self._planes(max(sigma, 0.1), _between(schedule.planes, done) / count),
-            bending=_between(schedule.bending, done),
+            bending=_between(schedule.bending, done) / trust,
             centers=int(_between(schedule.centers, done)),
         )
+
+    def _matches(self, here: Tensor, there: Tensor, sigma: float) -> tuple[Partners, ...]:
+        """The partners of the source's samples and of the target's, as both lie at half-time."""
+        apart = torch.cdist(here, there).square()
+        plan = assign(apart / (2 * sigma**2) + self.looks)
+        wide = plan if sigma >= WINDOW else assign(apart / (2 * WINDOW**2) + self.looks)
+        shrink = (min(sigma, WINDOW) / WINDOW) ** SHRINK
+        found = []
+        for own, other, given, window in (
+            (here, there, plan, wide),
+            (there, here, plan.T, wide.T),
+        ):
+            mass, mean, _ = moments(given, other)
+            spread = moments(window, other)[2] * shrink
+            sure = mass.clamp(0, 1) * SHARP**2 / (spread + SHARP**2)
+            found.append(Partners(mean, mean - own, mass, sure))
+        return tuple(found)
 
     def _compare(self, here: Tensor, there: Tensor) -> Tensor:
         """Descriptor distances (n, m) of the samples as both look at half-time."""
@@ -216,6 +241,10 @@ class _Cloud:
 def moved(gaussians: Gaussians, node: Node, t: float) -> Gaussians:
     """The splats where the flow takes their centers; shapes stay."""
     return replace(gaussians, means=flow(node, gaussians.means, t))
+
+
+def _distinct(partners: tuple[Partners, ...]) -> float:
+    return float(torch.cat([side.sure for side in partners]).mean())
 
 
 def _between(ends: tuple[float, float], done: float) -> float:

@@ -226,29 +226,30 @@ class _Search:
     def by_faces(self, faces: _FacePairs, warnings: list[str]) -> Found:
         """Faces give the pose and hold the flow; surfaces find the rest."""
         flowing = self._held(faces.p, faces.q)
-        surface = flowing.landmarks(self.count)
+        whole = confidence.of_faces(faces.confidence, flowing.gap)
         p = flowing.source.to_unit(faces.p).float()
         carried = flowing.to_world(1, flow(flowing.node, p, 1.0))
         return self._found(
             (faces.p, carried, faces.names, faces.confidence),
-            surface,
+            flowing.landmarks(self.count, whole),
             "faces and surfaces",
-            confidence.of_faces(faces.confidence, flowing.gap),
+            whole,
             warnings,
         )
 
     def by_landmarks(self, p: Tensor, q: Tensor, names: tuple[str, ...]) -> Found:
         """Given landmarks hold the flow."""
         flowing = self._held(p, q)
-        surface = flowing.landmarks(self.count)
+        sure = torch.ones(len(p), dtype=torch.float64)
+        whole = confidence.of_faces(sure, flowing.gap)
+        surface = flowing.landmarks(self.count, whole)
         room = ROOM / flowing.source.to_unit.scale
         kept = torch.cdist(surface[0], p).amin(1) > room
-        sure = torch.ones(len(p), dtype=torch.float64)
         return self._found(
             (p, q, names, sure),
             tuple(column[kept] for column in surface),
             "the given landmarks and surfaces",
-            confidence.of_faces(sure, flowing.gap),
+            whole,
             [],
         )
 
@@ -265,7 +266,7 @@ class _Search:
         nothing = torch.zeros(0, 3, dtype=torch.float64)
         return self._found(
             (nothing, nothing, (), nothing[:, 0]),
-            flowing.landmarks(self.count),
+            flowing.landmarks(self.count, sure),
             "surfaces",
             sure,
             [*warnings, *doubts],
@@ -342,18 +343,19 @@ class _Flowing:
         subject = (self.source, self.target)[side]
         return subject.to_unit.inverse()(points.double())
 
-    def landmarks(self, count: int) -> tuple[Tensor, Tensor, Tensor]:
-        """Pairs (m, 3) that the flow takes into each other, evenly over both, and how sure."""
+    def landmarks(self, count: int, whole: float) -> tuple[Tensor, Tensor, Tensor]:
+        """Pairs (m, 3) that the flow takes into each other, evenly over both, and how sure, by
+        the confidence of the ``whole``."""
         ends: list[tuple[Tensor, Tensor]] = []
         sure = []
-        for subject, weights, t in zip(
-            (self.source, self.target), self.matched.weights, (1.0, -1.0), strict=True
+        for subject, partners, t in zip(
+            (self.source, self.target), self.matched.partners, (1.0, -1.0), strict=True
         ):
             chosen = torch.from_numpy(farthest(subject.samples.points, count // 2, first=0))
             own = torch.from_numpy(subject.samples.points)
             there = flow(self.node, own[chosen], t).double()
             ends.append((own[chosen], there) if t > 0 else (there, own[chosen]))
-            sure.append(confidence.of_points(own, weights)[chosen])
+            sure.append(confidence.of_points(own, partners, whole)[chosen])
         p, q = (torch.cat(column) for column in zip(*ends, strict=True))
         return self.to_world(0, p), self.to_world(1, q), torch.cat(sure)
 

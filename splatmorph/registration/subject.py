@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
@@ -77,9 +78,19 @@ def _detail(gaussians: Gaussians, surface: Surface) -> Array:
     points = torch.from_numpy(surface.points).float()
     apart = torch.cdist(points, points[torch.from_numpy(few)])
     ring = (apart > RING[0]) & (apart < RING[1]) & (common > descriptors.COMMON)
-    detail = torch.nanquantile(torch.where(ring, unlike, torch.nan), UNLIKE, dim=1)
-    detail = torch.where(detail.isfinite(), detail, detail.nanmedian())
+    detail = _low_quantile(unlike.masked_fill_(~ring, torch.inf), ring.sum(1))
+    known = detail.isfinite()
+    detail = torch.where(known, detail, detail[known].median() if known.any() else 1.0)
     return np.asarray(detail / detail.median()).astype(np.float64)
+
+
+def _low_quantile(values: Tensor, counts: Tensor) -> Tensor:
+    """The quantile ``UNLIKE`` of the ``counts`` (n,) smallest of each row (n, m): (n,)."""
+    rank = UNLIKE * (counts - 1).clamp_min(0)
+    low = rank.floor().long()
+    lowest = values.topk(min(int(low.max()) + 2, values.shape[1]), largest=False).values
+    below, above = (lowest.gather(1, i[:, None])[:, 0] for i in (low, low + (rank > low)))
+    return torch.where(counts > 0, below + (rank - low) * (above - below), torch.inf)
 
 
 def turned(surface: Surface, similarity: Similarity) -> Surface:

@@ -10,8 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+from torch import Tensor
 
 from renderer.rasterize import Depth
 from splatmorph.errors import LandmarkError
@@ -32,6 +34,8 @@ RADII = (0.1, 0.2, 0.35, 0.6)
 COLOUR_RADII = (0.2, 0.6)
 NEIGHBOURHOOD = 4000
 """Points are enough to describe neighbourhoods by."""
+CHUNK = 500
+"""Points at a time, of which the distances to them fit the caches."""
 FEWEST = 200
 
 
@@ -176,21 +180,33 @@ def _robust_ball(points: Array) -> tuple[Array, float]:
 
 def _features(points: Array, normals: Array, colours: Array, radius: float) -> NDArray[np.float32]:
     """Signed curvature and roughness in balls of four sizes, colour and its contrast."""
-    tree = cKDTree(points)
     few = np.random.default_rng(0).permutation(len(points))[:NEIGHBOURHOOD]
-    sparse = cKDTree(points[few])
-    columns = []
-    for share in RADII:
-        reach = share * radius
-        near = tree.sparse_distance_matrix(sparse, reach, output_type="coo_matrix").tocsr()
-        near.data = 1 - (near.data / reach) ** 2
-        total = np.maximum(np.asarray(near.sum(1)).ravel(), 1e-3)[:, None]
-        middle, facing = near @ points[few] / total, near @ normals[few] / total
-        columns.append(((points - middle) * normals).sum(1) / reach)
-        columns.append(1 - (facing * normals).sum(1))
-        if share in COLOUR_RADII:
-            columns.append((colours - near @ colours[few] / total).mean(1))
-    features = np.stack([*columns, *colours.T], 1)
+    own, facing, shades = (
+        torch.from_numpy(value).float()
+        for value in ((points - points.mean(0)) / radius, normals, colours)
+    )
+    around = torch.cat([torch.ones(len(few), 1), own[few], facing[few], shades[few]], 1)
+    parts = zip(own.split(CHUNK), facing.split(CHUNK), shades.split(CHUNK), strict=True)
+    rows = [_neighbourhood(*part, own[few], around) for part in parts]
+    features = np.concatenate([torch.cat(rows).double().numpy(), colours], 1)
     middle = np.median(features, 0)
     spread = 1.4826 * np.median(np.abs(features - middle), 0) + 1e-3
     return np.clip((features - middle) / spread, -3, 3).astype(np.float32)
+
+
+def _neighbourhood(
+    points: Tensor, normals: Tensor, colours: Tensor, few: Tensor, around: Tensor
+) -> Tensor:
+    """Columns (n, d) of what points' neighbourhoods are like; ``around`` holds a one, the point,
+    its normal and its colours of each of the ``few`` that stand for all."""
+    squares = torch.cdist(points, few).square_()
+    columns = []
+    for reach in RADII:
+        near = (1 - squares / reach**2).clamp_min_(0)
+        sums = near @ around
+        middle, facing, shade = (sums[:, 1:] / sums[:, :1].clamp_min(1e-3)).split(3, 1)
+        columns.append(((points - middle) * normals).sum(1) / reach)
+        columns.append(1 - (facing * normals).sum(1))
+        if reach in COLOUR_RADII:
+            columns.append((colours - shade).mean(1))
+    return torch.stack(columns, 1)
