@@ -19,6 +19,7 @@ from splatmorph.app.options import choose_device
 from splatmorph.app.ranges import check_ranges
 from splatmorph.errors import OptionError, SplatmorphError
 from splatmorph.images import points
+from splatmorph.io.reading import require_file
 from splatmorph.runs.batch import PICTURES, Record, Result, Row, fit_row
 from splatmorph.runs.inputs import fingerprint
 from splatmorph.runs.request import OnStep, OnWarning
@@ -113,7 +114,10 @@ def _morph_pictures(task: Task, record: Record) -> Result:
         marks = list(own)
     elif row.source_landmarks or row.target_landmarks:
         raise OptionError("landmarks are given of one picture, expected them of both or of none")
-    of = fingerprint((row.source, row.target, *filter(None, marks)))
+    files = (row.source, row.target, *filter(None, marks))
+    for file in files:
+        require_file(file)
+    of = fingerprint(files)
     picture, kept = _make(task, record, "image", given, of, report)
     draw_thumbnail(task.folder, row.name, picture)
     measured = json.loads(report.read_text(encoding="utf-8"))

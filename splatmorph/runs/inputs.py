@@ -18,7 +18,7 @@ from splatmorph.avatars.places import find_avatar
 from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.io.offsets import lost_detail
-from splatmorph.io.reading import reading, require_file
+from splatmorph.io.reading import require_file
 from splatmorph.landmarks import Landmarks
 
 
@@ -154,14 +154,10 @@ def bounding_box(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
 
 
 def fingerprint(files: tuple[Path, ...]) -> str:
-    """sha256 over the contents of ``files``, in their order.
-
-    Raises:
-        ReadError: one is missing or can't be read.
-    """
+    """sha256 over the contents of ``files``, in their order."""
     digest = hashlib.sha256()
     for file in files:
-        with reading(file, "file"), file.open("rb") as stream:
+        with file.open("rb") as stream:
             while block := stream.read(1 << 20):
                 digest.update(block)
     return digest.hexdigest()

@@ -6,6 +6,7 @@ import contextlib
 import csv
 import json
 import os
+import re
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -246,6 +247,7 @@ def test_rows_are_fitted_rendered_exported_and_measured(pictures: Path, batch: B
     code, _, err = batch(pairs, *words)
     assert code == 1
     assert err.splitlines()[-1].startswith("error: 1 of 4 pairs failed (d-none)")
+    assert re.search(r"error: d-none: can't read \S+none.png: No such file", err)
     rows = {row["name"]: row for row in summary("out/summary.csv")}
     assert rows["a-b"]["files"] == "a-b.run; a-b.png; a-b-frames; a-b-eval.json"
     assert rows["d-e"]["files"] == "d-e.png; d-e.report.json"
