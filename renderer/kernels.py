@@ -25,7 +25,7 @@ class View:
     """A camera as the kernels want it."""
 
     viewmat: wp.mat44
-    position: wp.vec3
+    to_world: wp.mat33
     focal: wp.vec2
     principal: wp.vec2
     slope_min: wp.vec2
@@ -133,7 +133,7 @@ def project(
     splats.conic[i] = wp.vec3(yy / det, -xy / det, xx / det)
     splats.extent[i] = extent
     splats.log_opacity[i] = log_opacity
-    rgb = sh_color(sh, i, degree, wp.normalize(means[i] - view.position))
+    rgb = sh_color(sh, i, degree, wp.normalize(view.to_world * p))
     splats.color[i] = wp.vec4(rgb[0], rgb[1], rgb[2], p[2])
     keys[i] = wp.cast(p[2], int)
 

@@ -36,7 +36,7 @@ SPLAT_TYPES = {
 }
 VIEW_TYPES = {
     "viewmat": wp.mat44,
-    "position": wp.vec3,
+    "to_world": wp.mat33,
     **dict.fromkeys(("focal", "principal", "slope_min", "slope_max"), wp.vec2),
 }
 LIST_BUDGET = 1 << 25

@@ -17,8 +17,8 @@ class View(NamedTuple):
 
     viewmat: tuple[float, ...]
     """(16,) row by row"""
-    position: tuple[float, ...]
-    """(3,) of the camera, world units"""
+    to_world: tuple[float, ...]
+    """(9,) row by row: directions, camera to world"""
     focal: tuple[float, ...]
     """(2,) px, as the principal point"""
     principal: tuple[float, ...]
@@ -37,7 +37,7 @@ def view_of(viewmat: Array, K: Array, size: tuple[int, int], depths: tuple[float
     margin = reference.FOV_MARGIN * np.array(size) / (2 * focal)
     return View(
         viewmat=tuple(viewmat.ravel().tolist()),
-        position=tuple((-np.linalg.inv(viewmat[:3, :3]) @ viewmat[:3, 3]).tolist()),
+        to_world=tuple(np.linalg.inv(viewmat[:3, :3]).ravel().tolist()),
         focal=tuple(focal.tolist()),
         principal=tuple(principal.tolist()),
         slope_min=tuple((-principal / focal - margin).tolist()),

@@ -40,20 +40,22 @@ class _Memory:
         self.state = layout.State.from_buffer(_aligned((STATE_BYTES,), np.uint8).data)
         self.arrays: dict[str, Array] = {}
 
-    def fit(self, n: int, tiles: int) -> dict[str, int]:
+    def fit(self, n: int, rows: int, columns: int) -> dict[str, int]:
         """Make room for n splats on so many tiles: arguments by name."""
-        list_size = max(LIST_ENTRIES // PARTS, tiles)
+        tiles = rows * columns
+        list_size = max(LIST_ENTRIES // PARTS, tiles + 5)
+        room = tiles + columns + 1
         sizes = {
             "splats": n * layout.SPLAT_BYTES,
             "keys": 2 * n * 4,
             "ids": 2 * n * 4,
             "digits": PARTS * 4 << layout.RADIX_BITS,
-            "counts": PARTS * tiles * 4,
+            "counts": PARTS * room * 4,
             "ends": tiles * 4,
             "lists": PARTS * list_size * layout.ENTRY_BYTES,
             "entries": PARTS * list_size * layout.ENTRY_BYTES,
-            "kept": tiles * layout.ROWS * layout.ROW_BYTES,
-            "open_rows": tiles * layout.TILE_BYTES,
+            "kept": tiles * layout.BLOCKS * layout.BLOCK_BYTES,
+            "open_blocks": room * layout.TILE_BYTES,
         }
         for name, size in sizes.items():
             if name not in self.arrays or len(self.arrays[name]) < size:
@@ -107,12 +109,12 @@ def render(
     shape = (len(views), height, width)
     made = {"rgb": (*shape, 3), "alpha": shape, "depth": shape}
     pictures = {name: _aligned(size, np.float32) for name, size in made.items()}
-    tiles = -(-width // layout.COLUMN) * -(-height // layout.ROWS)
+    rows, columns = -(-height // layout.ROWS), -(-width // layout.COLUMN)
     memory = _memory
     with memory.drawing:
         arguments = layout.Arguments(
             **{name: array.ctypes.data for name, array in scene.items()},
-            **memory.fit(n, tiles),
+            **memory.fit(n, rows, columns),
             state=ctypes.addressof(memory.state),
             background=tuple(background),
             share=share,
@@ -142,13 +144,15 @@ def gather(
     height, width = views[0].height, views[0].width
     rows, columns = -(-height // layout.ROWS), -(-width // layout.COLUMN)
     whole = np.zeros((rows * layout.ROWS, columns * layout.COLUMN, channels), np.float32)
-    tiled = _aligned((rows, columns, layout.ROWS, channels, layout.COLUMN), np.float32)
+    side = layout.SIDE
+    down, across = layout.ROWS // side, layout.COLUMN // side
+    tiled = _aligned((rows, columns, across, down, channels, side, side), np.float32)
     sums = np.zeros((n, channels), np.int64)
     memory = _memory
     with memory.drawing:
         arguments = layout.Arguments(
             **{name: array.ctypes.data for name, array in scene.items()},
-            **memory.fit(n, rows * columns),
+            **memory.fit(n, rows, columns),
             state=ctypes.addressof(memory.state),
             pictures=tiled.ctypes.data,
             gathered=sums.ctypes.data,
@@ -159,8 +163,8 @@ def gather(
         )
         for view, picture in zip(views, pictures, strict=True):
             whole[:height, :width] = picture
-            split = whole.reshape(rows, layout.ROWS, columns, layout.COLUMN, channels)
-            tiled[:] = split.transpose(0, 2, 1, 4, 3)
+            split = whole.reshape(rows, down, side, columns, across, side, channels)
+            tiled[:] = split.transpose(0, 3, 4, 1, 6, 2, 5)
             _run(arguments, view, memory, threads)
     return sums
 

@@ -39,9 +39,11 @@ auto begin_sort = [&]() {
 };
 
 auto open_tiles = [&]() {
-    for (int t = 0; t < tiles; ++t) {
-        const int below = view.height - t / columns * ROWS;
-        open_rows[t] = Tile{0, (below < ROWS ? below : ROWS) - 1, 0};
+    for (int t = 0; t < tile_room; ++t) {
+        const int wide = view.width - t % columns * COLUMN;
+        const int beside = (wide < COLUMN ? wide + SIDE - 1 : COLUMN) / SIDE;
+        const unsigned rows = rows_between(0, view.height - 1, t / columns);
+        open_blocks[t] = Tile{whole_columns((1u << beside) - 1) & whole_rows(rows), 0};
     }
 };
 

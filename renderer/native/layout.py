@@ -9,10 +9,13 @@ from pathlib import Path
 from renderer import reference
 from renderer.cpp import Program
 
+SIDE = 4
+"""Pixels along a block, whose square are the lanes of a vector."""
 COLUMN = 16
-"""Pixels across a tile: the lanes of a vector."""
+"""Pixels across a tile: four blocks."""
 ROWS = 64
-"""Pixels down a tile; an entry of the lists holds a row in 6 bits."""
+"""Pixels down a tile: sixteen blocks, so that the blocks of a tile are the bits of a word."""
+BLOCKS = COLUMN * ROWS // SIDE**2
 PARTS = 16
 """Into how many tasks a stage is split, for any number of threads."""
 RADIX_BITS = 12
@@ -21,21 +24,22 @@ MAX_CHANNELS = 8
 
 SPLAT_BYTES = 64
 ENTRY_BYTES = 8
-TILE_BYTES = 12
-ROW_BYTES = 5 * 4 * COLUMN
+TILE_BYTES = 16
+BLOCK_BYTES = 5 * 4 * SIDE**2
 
 STAGES = ("project", "count digits", "sort", "list and colour", "fill", "blend")
 
 HEADERS = ("vectors.h", "memory.h", "project.h", "sort.h", "shade.h", "bin.h", "blend.h", "frame.h")
 
-# exp(p) for p in [-ln 255 / 16, 0]: minimax cubic in relative error, 4.7e-6.
-EXP = (9.99995280e-01, 9.99591826e-01, 4.94252633e-01, 1.39953795e-01)
+# 2^f for f in [-1/2, 1/2]: minimax cubic in relative error, 7.5e-5.
+EXP = (9.99928027e-01, 6.93260970e-01, 2.42611372e-01, 5.51717746e-02)
 
 CONSTANTS = f"""
-constexpr int ROWS = {ROWS}, PARTS = {PARTS}, RADIX_BITS = {RADIX_BITS}, RADIX = 1 << RADIX_BITS;
+constexpr int SIDE = {SIDE}, COLUMN = {COLUMN}, ROWS = {ROWS}, BLOCKS = {BLOCKS};
+constexpr int PARTS = {PARTS}, RADIX_BITS = {RADIX_BITS}, RADIX = 1 << RADIX_BITS;
 constexpr int MAX_CHANNELS = {MAX_CHANNELS};
 constexpr float BLUR = {reference.BLUR}f, ALPHA_MIN = 1.f / 255;
-constexpr float LOG_ALPHA_MIN = {math.log(reference.ALPHA_MIN)}f;
+constexpr float LOG2_E = {math.log2(math.e)}f, LOG2_ALPHA_MIN = {math.log2(reference.ALPHA_MIN)}f;
 constexpr float ALPHA_MAX = {reference.ALPHA_MAX}f, CLEAR_MIN = {reference.TRANSMITTANCE_MIN}f;
 constexpr float EXP0 = {EXP[0]}f, EXP1 = {EXP[1]}f, EXP2 = {EXP[2]}f, EXP3 = {EXP[3]}f;
 constexpr float SLACK = 1e-3f;  // px, for rounding; blending tests every pixel anyway
@@ -47,7 +51,7 @@ class View(ctypes.Structure):
 
     _fields_ = (
         ("viewmat", ctypes.c_float * 16),
-        *((name, ctypes.c_float * 3) for name in ("position",)),
+        ("to_world", ctypes.c_float * 9),
         *((name, ctypes.c_float * 2) for name in ("focal", "principal", "slope_min", "slope_max")),
         *((name, ctypes.c_float) for name in ("near", "far")),
         *((name, ctypes.c_int) for name in ("width", "height")),
@@ -79,7 +83,7 @@ class Arguments(ctypes.Structure):
         *((name, ctypes.c_void_p) for name in ("rgb", "alpha", "depth")),
         *((name, ctypes.c_void_p) for name in ("state", "splats", "keys", "ids")),
         *((name, ctypes.c_void_p) for name in ("digits", "counts", "ends")),
-        *((name, ctypes.c_void_p) for name in ("lists", "entries", "kept", "open_rows")),
+        *((name, ctypes.c_void_p) for name in ("lists", "entries", "kept", "open_blocks")),
         ("view", View),
         ("background", ctypes.c_float * 3),
         ("share", ctypes.c_float),
@@ -100,7 +104,7 @@ PROGRAM = Program(
         "Splat": SPLAT_BYTES,
         "Word": ENTRY_BYTES,
         "Tile": TILE_BYTES,
-        "Row": ROW_BYTES,
-        "Floats": 4 * COLUMN,
+        "Block": BLOCK_BYTES,
+        "Floats": 4 * SIDE**2,
     },
 )

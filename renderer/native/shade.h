@@ -3,12 +3,19 @@
 auto shade = [&](const int* id, int count) {
 #pragma clang fp contract(fast)
     if (!count || channels) return;
-    float position[3][LANES], basis[25][LANES];
-    for (int lane = 0; lane < LANES; ++lane)
-        for (int axis = 0; axis < 3; ++axis)
-            position[axis][lane] = means[(long)id[lane < count ? lane : 0] * 3 + axis];
-    Floats x = load(position[0]) - view.position[0], y = load(position[1]) - view.position[1],
-           z = load(position[2]) - view.position[2];
+    float basis[25][LANES];
+    Floats across, down;
+    for (int lane = 0; lane < LANES; ++lane) {
+        const Splat& splat = splats[id[lane < count ? lane : 0]];
+        across[lane] = splat.x, down[lane] = splat.y;
+    }
+    // Where a splat is seen tells its direction; its center lies elsewhere in memory.
+    across = (across - view.principal[0]) / view.focal[0];
+    down = (down - view.principal[1]) / view.focal[1];
+    const auto& W = view.to_world;
+    Floats x = W[0][0] * across + W[0][1] * down + W[0][2];
+    Floats y = W[1][0] * across + W[1][1] * down + W[1][2];
+    Floats z = W[2][0] * across + W[2][1] * down + W[2][2];
     const Floats inverse = 1.f / root(x * x + y * y + z * z);
     x *= inverse, y *= inverse, z *= inverse;
     const Floats xx = x * x, yy = y * y, zz = z * z;

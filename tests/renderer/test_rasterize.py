@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from renderer import ArgumentError, native, rasterize, rasterize_reference
+from renderer.cpp import plain_twins
 
 pytestmark = pytest.mark.usefixtures("each_path")
 
@@ -303,3 +304,10 @@ def test_kernels_compile_for_cuda(tmp_path, each_path):
     ptx = files[0].read_text()
     for kernel in ("project", "count_tiles", "list_tiles", "find_ranges", "blend", "finish"):
         assert f".entry {kernel}_" in ptx
+
+
+def test_a_picture_that_no_cache_holds():
+    scene, camera = random_scene(200, 1, 21), pinhole(1040, 1024)
+    with plain_twins():
+        expected = rasterize(**scene, **camera, background=(0.1, 0.2, 0.3))
+    assert_same_picture(rasterize(**scene, **camera, background=(0.1, 0.2, 0.3)), expected)
