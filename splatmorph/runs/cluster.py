@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import functools
 import logging
@@ -74,11 +75,13 @@ def remote_cluster(scheduler: str, folder: Path) -> Iterator[Any]:
     distributed = _distributed()
     with _quietly(distributed, threads=1), contextlib.ExitStack() as stack:
         try:
+            asyncio.run(_greet(distributed, scheduler))
             client = stack.enter_context(distributed.Client(scheduler, timeout=PATIENCE))
             client.wait_for_workers(1, timeout=PATIENCE)
         except (OSError, ValueError, TimeoutError) as error:
+            why = f" ({error})" if str(error) else ""
             raise RunError(
-                f"no workers at {scheduler} within {PATIENCE:.0f} s ({error}): expected a "
+                f"no workers at {scheduler} within {PATIENCE:.0f} s{why}: expected a "
                 "scheduler of dask.distributed, tcp://HOST:8786, that has some"
             ) from error
         _check_workers(client, folder)
@@ -177,6 +180,16 @@ def _share_cores(each: int, dask_worker: Any) -> None:
         free = sorted(os.sched_getaffinity(0))
         first = int(dask_worker.name) * each
         os.sched_setaffinity(0, {free[(first + i) % len(free)] for i in range(each)})
+
+
+async def _greet(distributed: Any, scheduler: str) -> None:
+    """See that it is one: for the answer of anything else, its page say, a client waits forever.
+
+    Raises OSError, ValueError, TimeoutError.
+    """
+    own = distributed.Security().get_connection_args("client")
+    async with asyncio.timeout(PATIENCE), distributed.rpc(scheduler, connection_args=own) as asked:
+        await asked.identity()
 
 
 def _check_workers(client: Any, folder: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 from pathlib import Path
 
@@ -77,6 +78,10 @@ def test_a_scheduler_is_used_only_with_workers_of_use(
 def test_nobody_at_the_address(dask: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("splatmorph.runs.cluster.PATIENCE", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
+        with pytest.raises(RunError, match="no workers at"), remote_cluster(address, tmp_path):
+            pass
+    with socket.create_server(("127.0.0.1", 0)) as mute:  # as a page is, to whom a scheduler speaks
+        address = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with pytest.raises(RunError, match="no workers at"), remote_cluster(address, tmp_path):
             pass
 
