@@ -50,7 +50,7 @@ def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
     if degree == 0:
         return sh
     if rotations.ndim == 2:
-        return _rotated(sh, rotations[None].to(sh.dtype), degree)
+        return _rotated_alike(sh, rotations)
     parts = zip(sh.split(CHUNK), rotations.to(sh.dtype).split(CHUNK), strict=True)
     return torch.cat([_rotated(part, turn, degree) for part, turn in parts])
 
@@ -63,6 +63,19 @@ def _rotated(sh: Tensor, rotations: Tensor, degree: int) -> Tensor:
         seen = values @ sh[:, order**2 : (order + 1) ** 2]
         bands.append(torch.einsum("mj,njc->nmc", inverse, seen))
     return torch.cat(bands, dim=1)
+
+
+def _rotated_alike(sh: Tensor, rotation: Tensor) -> Tensor:
+    # A matrix does to the coefficients of every splat what it does to unit vectors.
+    count, size, channels = sh.shape
+    units = torch.eye(size, dtype=torch.float64, device=sh.device)[:, :, None]
+    turned = _rotated(units, rotation[None].to(units), math.isqrt(size) - 1)[:, :, 0]
+    matrix = torch.kron(turned, torch.eye(channels).to(turned)).to(sh)
+    out = sh.new_empty(count, size * channels)
+    for begin in range(0, count, CHUNK):
+        part = slice(begin, begin + CHUNK)
+        torch.mm(sh[part].flatten(1), matrix, out=out[part])
+    return out.view(sh.shape)
 
 
 @lru_cache

@@ -18,9 +18,10 @@ from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.similarity import Similarity
 from splatmorph.morph.agreement import Agreement, OnStep, agree
 from splatmorph.morph.memory import Memory
+from splatmorph.morph.paths import Drift
 from splatmorph.morph.ramps import DEFAULT_RAMP, EASES, RAMPS
 from splatmorph.morph.splitting import split_stretched
-from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, Drift, colour_turns
+from splatmorph.morph.transport import COVARIANCES, DEFAULT_COVARIANCE, colour_turns
 from splatmorph.steady import one_thread
 
 Choice = TypeVar("Choice")

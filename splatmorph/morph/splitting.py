@@ -24,8 +24,8 @@ from torch import Tensor
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import to_matrices
+from splatmorph.morph.paths import KNOTS, jacobian_blocks
 from splatmorph.morph.ramps import DENSEST, STEPS, interpolated, scaled_logits
-from splatmorph.morph.transport import KNOTS, jacobian_blocks
 
 SHARE = math.sqrt(0.5)
 """Length of a child in its parent's: half the variance is theirs, half is their distance."""
@@ -66,7 +66,7 @@ def _longest(gaussians: Gaussians, flow: Flow, direction: int) -> Tensor:
     """(n, 3) the longest that each axis becomes on the way from t = 0 to ``direction``."""
     stops = [direction * k / KNOTS for k in range(1, KNOTS + 1)]
     lengths = gaussians.scales.clone()
-    for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
+    for block, _, jacobians in jacobian_blocks(flow, gaussians.means, stops):
         axes = to_matrices(gaussians.quats[block])
         stretches = (jacobians @ axes).square().sum(2).amax(0).sqrt()
         lengths[block] *= stretches.clamp_min(1)

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any, Protocol
@@ -18,32 +17,14 @@ from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes, polar_rotation
 from splatmorph.morph.native import moment as native
-from splatmorph.morph.native import shapes
+from splatmorph.morph.paths import Drift, jacobian_blocks, paths_of
 from splatmorph.steady import one_thread
-
-KNOTS = 8
-"""Moments a unit of t at which shapes are worked out; in between they are interpolated."""
-
-BLOCK = 1 << 15
-"""Splats whose Jacobians are held at a time."""
 
 
 class Frames(Protocol):
     """The splats at the k-th time; what it can, it makes in ``room``, of as many splats."""
 
     def __call__(self, k: int, room: Gaussians | None = None) -> Gaussians: ...
-
-
-@dataclass(frozen=True)
-class Drift:
-    """What becomes of splats beyond the flow, each of it times |t|: all at the other end."""
-
-    offset: Tensor
-    """(n, 3) world units, added to where the flow takes the centers."""
-    slope: Tensor
-    """(n, 3, 3) the derivative of the offset by the centers at t = 0, added to that of the flow."""
-    sh: Tensor
-    """(n, k, 3) added to the coefficients of the colours, before they turn with their splats."""
 
 
 class Transport(Protocol):
@@ -59,31 +40,21 @@ def move_centers(
     gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None = None
 ) -> Frames:
     """The paper's transport: centers follow the flow, covariance and colour stay as they are."""
-    centers = _centers(gaussians, flow, times, drift)
-
-    def frame(k: int, room: Gaussians | None = None) -> Gaussians:
-        sh = gaussians.sh
-        if drift is not None:
-            out = None if room is None else room.sh
-            sh = torch.add(sh, drift.sh.to(sh), alpha=abs(times[k]), out=out)
-        return replace(gaussians, means=centers(k, room), sh=sh)
-
-    return frame
-
-
-def _centers(
-    gaussians: Gaussians, flow: Flow, times: Sequence[float], drift: Drift | None
-) -> Callable[[int, Gaussians | None], Tensor]:
     path = flow.trajectory(gaussians.means, times)
 
     @one_thread()
-    def centers(k: int, room: Gaussians | None) -> Tensor:
+    def frame(k: int, room: Gaussians | None = None) -> Gaussians:
         if drift is None:
-            return path[k]
-        out = None if room is None else room.means
-        return torch.add(path[k], drift.offset.to(path[k]), alpha=abs(times[k]), out=out)
+            return replace(gaussians, means=path[k])
+        outs = (None, None) if room is None else (room.means, room.sh)
+        ways = (path[k], drift.offset), (gaussians.sh, drift.sh)
+        means, sh = (
+            torch.add(start, way.to(start), alpha=abs(times[k]), out=out)
+            for (start, way), out in zip(ways, outs, strict=True)
+        )
+        return replace(gaussians, means=means, sh=sh)
 
-    return centers
+    return frame
 
 
 @torch.no_grad()
@@ -97,28 +68,27 @@ def move_shapes(
 ) -> Frames:
     """Splats turn with the flow, Σ' = P Σ Pᵀ, or with ``stretch`` take its whole J Σ Jᵀ.
 
-    P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. The
-    shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
+    P is the rotation in the polar decomposition of J = ∂Φ/∂x; colours turn by it in both. Centers
+    and shapes are exact at the knots k/KNOTS, and in between on the cubics through them.
     """
-    centers = _centers(gaussians, flow, times, drift)
-    reaches = {sign: max(sign * t for t in times) for sign in (1, -1)}
+    ways = {sign: [abs(t) for t in times if sign * t > 0] for sign in (1, -1)}
     paths = {
-        sign: _shapes_along(gaussians, flow, sign, reach, stretch, drift)
-        for sign, reach in reaches.items()
-        if reach > 0
+        sign: paths_of(gaussians, flow, sign, own, stretch=stretch, drift=drift)
+        for sign, own in ways.items()
+        if own
     }
 
     def frame(k: int, room: Gaussians | None = None) -> Gaussians:
-        near, weights = _about(paths[1 if times[k] > 0 else -1], abs(times[k]) * KNOTS)
+        near, weights = paths[1 if times[k] > 0 else -1].about(abs(times[k]))
         own = None if drift is None else (drift.sh.to(gaussians.sh), abs(times[k]))
         degree = gaussians.sh_degree
         arguments = near, weights, gaussians.sh, degree, own
         if native.takes(near, gaussians.sh, degree):
-            shape = native.moment(*arguments, None if room is None else vars(room))
+            made = native.moment(*arguments, None if room is None else vars(room))
         else:
-            shape = moment(*arguments)
-        changed: dict[str, Any] = {**shape}
-        return replace(gaussians, means=centers(k, room), **changed)
+            made = moment(*arguments)
+        changed: dict[str, Any] = {**made}
+        return replace(gaussians, **changed)
 
     return frame
 
@@ -133,7 +103,8 @@ def moment(
     """What splats are between knots; the plain twin of the C++ in ``native/moment.h``.
 
     Arguments:
-        paths: by name what changes, (near, n, c) at the knots about the moment.
+        paths: by name what changes, (near, n, c) at the knots about the moment; ``turns`` of any
+            length, also as integers.
         weights: (near,) of those.
         sh, degree: the colours at the start, (n, (degree + 1)², 3).
         drift: what the colours drift by, of the shape of ``sh``, and how much of it.
@@ -141,55 +112,16 @@ def moment(
     Returns:
         what has changed, and ``sh``: turned by ``turns``, where they are among the paths.
     """
-    shape = {
-        name: (weights.to(path) @ path.flatten(1)).reshape(path.shape[1:])
-        for name, path in paths.items()
-    }
-    turns = shape.pop("turns", None)
-    shape["sh"] = sh if drift is None else torch.add(sh, drift[0], alpha=drift[1])
-    if turns is not None:
-        shape["sh"] = rotate_sh(shape["sh"], to_matrices(turns))
-    return shape
 
+    def between(path: Tensor) -> Tensor:
+        return (weights.to(path) @ path.flatten(1)).reshape(path.shape[1:])
 
-def _shapes_along(
-    gaussians: Gaussians,
-    flow: Flow,
-    sign: int,
-    reach: float,
-    stretch: bool,
-    drift: Drift | None,
-) -> dict[str, Tensor]:
-    """Shapes from t = 0 to ``reach`` and one knot more, in one direction of time.
-
-    By the name of what changes, (knots, n, c): the quaternions, the log scales where they do,
-    and for colours that turn the rotation P as a quaternion. The knot more is for the slope
-    there; but within one unit of t none is beyond it, where baselines that are no flows end.
-    """
-    last = max(2, math.ceil(reach * KNOTS) + 1)
-    stops = [sign * k / KNOTS for k in range(1, (min(last, KNOTS) if reach <= 1 else last) + 1)]
-    quats, log_scales = gaussians.quats, gaussians.log_scales
-    unturned = quats.new_tensor([1.0, 0.0, 0.0, 0.0]).expand_as(quats)
-    starts = {"quats": quats, "log_scales": log_scales, "turns": unturned}
-    changing = {"quats": True, "log_scales": stretch, "turns": gaussians.sh_degree > 0}
-    paths = {
-        name: start.new_empty(1 + len(stops), *start.shape)
-        for name, start in starts.items()
-        if changing[name]
-    }
-    for name, path in paths.items():
-        path[0] = starts[name]
-    for block, jacobians in jacobian_blocks(flow, gaussians.means, stops):
-        if drift is not None:
-            ways = jacobians.new_tensor(stops).abs()[:, None, None, None]
-            jacobians = jacobians + ways * drift.slope[block].to(jacobians)
-        own = quats[block], log_scales[block], jacobians
-        takes = shapes.takes(quats, jacobians, stretch=stretch)
-        carried = (shapes.carried_shapes if takes else carried_shapes)(*own, stretch=stretch)
-        for name, moments in zip(starts, carried, strict=True):
-            if name in paths:
-                paths[name][1:, block] = moments
-    return paths
+    changed = {name: between(path) for name, path in paths.items() if name != "turns"}
+    changed["sh"] = sh if drift is None else torch.add(sh, drift[0], alpha=drift[1])
+    if "turns" in paths:
+        turns = between(paths["turns"].to(sh))
+        changed["sh"] = rotate_sh(changed["sh"], to_matrices(turns))
+    return changed
 
 
 def drifted(gaussians: Gaussians, drift: Drift, *, stretch: bool) -> Gaussians:
@@ -213,37 +145,10 @@ def colour_turns(gaussians: Gaussians, flow: Flow, t: float, covariance: str) ->
     if not gaussians.sh_degree or covariance == "fixed":
         return None
     turns = torch.empty(len(gaussians), 3, 3)
-    for block, jacobians in jacobian_blocks(flow, gaussians.means, [t]):
+    for block, _, jacobians in jacobian_blocks(flow, gaussians.means, [t]):
         turned = polar_rotation(jacobians[0].double().permute(1, 2, 0).contiguous())
         turns[block] = turned.permute(2, 0, 1).float()
     return turns
-
-
-def jacobian_blocks(
-    flow: Flow, points: Tensor, times: Sequence[float]
-) -> Iterator[tuple[slice, Tensor]]:
-    """∂Φ/∂x at ``points`` (n, 3) after k ``times``, block by block: which points, (k, m, 3, 3)."""
-    for begin in range(0, len(points), BLOCK):
-        block = slice(begin, begin + BLOCK)
-        yield block, flow.trajectory_jacobian(points[block], times)[1]
-
-
-def _about(paths: Mapping[str, Tensor], place: float) -> tuple[dict[str, Tensor], Tensor]:
-    """The knots of paths (knots, n, c) about ``place`` in knots, at most four, and their weights.
-
-    What is between them lies on cubics with the slopes of neighbours.
-    """
-    knots = len(next(iter(paths.values())))
-    left = min(int(place), knots - 2)
-    s = place - left
-    # The cubic is linear in the knots: its weights are its values for unit vectors.
-    units = torch.eye(knots, dtype=torch.float64)
-    (slopes,) = torch.gradient(units, dim=0, edge_order=2)
-    rise = units[left + 1] - units[left]
-    bend = (1 - s) * (slopes[left] - rise) + s * (rise - slopes[left + 1])
-    weights = units[left] + s * (rise + (1 - s) * bend)
-    near = slice(max(left - 1, 0), left + 3)
-    return {name: path[near] for name, path in paths.items()}, weights[near]
 
 
 COVARIANCES: Mapping[str, Transport] = MappingProxyType(
@@ -254,8 +159,7 @@ COVARIANCES: Mapping[str, Transport] = MappingProxyType(
     }
 )
 """By name, what travels. Each maps splats, a flow and k times to a function of 0 … k - 1 that
-gives the splats at that time, after one integration for all of them (and, beyond ``fixed``, one
-more for the Jacobians at the knots)."""
+gives the splats at that time, after one integration for all of them."""
 
 DEFAULT_COVARIANCE = "full"
 """What comes closest to a known warp; the paper's is ``fixed``."""

@@ -14,7 +14,8 @@ from torch import Tensor
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import polar_rotation, stretched_axes
-from splatmorph.morph.transport import COVARIANCES, KNOTS
+from splatmorph.morph.paths import KNOTS
+from splatmorph.morph.transport import COVARIANCES
 
 TIMES = [k / 100 for k in range(1, 101)]
 

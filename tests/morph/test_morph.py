@@ -64,7 +64,7 @@ def test_a_sequence_is_its_moments_and_costs_no_integration_a_frame(covariance: 
     times = [0.75, 0, 0.5, 1, 0.5, 0.2, -0.5, 1.5]
     frames = list(morph.sequence(times))
     # A half goes two ways, here both: it fades on the one, and is a caricature on the other.
-    assert flow.calls == (4 if covariance == "fixed" else 8)
+    assert flow.calls == 4
     assert same_bits(frames[2], frames[4])
     for t, frame in zip(times, frames, strict=True):
         alone = morph.at(t)

@@ -135,11 +135,12 @@ def test_splats_travel_alike_natively_and_plainly(covariance: str) -> None:
 @pytest.mark.parametrize("drifts", [False, True])
 def test_native_moments_are_the_plain_ones(degree: int, drifts: bool) -> None:
     coefficients = (degree + 1) ** 2
-    knots = {"quats": 4, "log_scales": 3, "turns": 4}
+    knots = {"means": 3, "quats": 4, "log_scales": 3, "turns": 4}
     paths = {
         name: normal(4, COUNT, size, seed=size).float() + 2 * (torch.arange(size) == 0)
         for name, size in knots.items()
     }
+    paths["turns"] = (4000 * paths["turns"]).short()
     weights = torch.tensor([-0.1, 0.7, 0.5, -0.1], dtype=torch.float64)
     sh = normal(COUNT, coefficients, 3, seed=5).float()
     drift = (normal(COUNT, coefficients, 3, seed=6).float(), 0.4) if drifts else None
@@ -154,7 +155,9 @@ def test_native_moments_are_the_plain_ones(degree: int, drifts: bool) -> None:
 
 
 def test_native_moments_without_stretch_and_on_any_number_of_threads() -> None:
-    paths = {"quats": normal(4, COUNT, 4, seed=1).float(), "turns": torch.ones(4, COUNT, 4)}
+    sizes = {"means": 3, "quats": 4}
+    paths = {name: normal(4, COUNT, size, seed=size).float() for name, size in sizes.items()}
+    paths["turns"] = torch.ones(4, COUNT, 4, dtype=torch.int16)
     weights, sh = torch.full((4,), 0.25), normal(COUNT, 16, 3, seed=5).float()
     threads = torch.get_num_threads()
     try:
@@ -164,6 +167,6 @@ def test_native_moments_without_stretch_and_on_any_number_of_threads() -> None:
             answers.append(native_moment(paths, weights, sh, 3, None))
     finally:
         torch.set_num_threads(threads)
-    assert answers[0].keys() == {"quats", "sh"}
+    assert answers[0].keys() == {"means", "quats", "sh"}
     for name, expected in answers[0].items():
         assert all(torch.equal(answer[name], expected) for answer in answers[1:])

@@ -24,7 +24,8 @@ from splatmorph.geometry.harmonics import SH0, rotate_sh
 from splatmorph.morph.agreement import colour, fade, lead, melt
 from splatmorph.morph.agreement.neighbours import Neighbours
 from splatmorph.morph.agreement.views import SIZE, views_of
-from splatmorph.morph.transport import Drift, drifted
+from splatmorph.morph.paths import Drift
+from splatmorph.morph.transport import drifted
 from splatmorph.rendering import bounds, renderer_arrays
 from splatmorph.steady import one_thread
 

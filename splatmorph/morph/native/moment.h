@@ -7,11 +7,11 @@ typedef float Floats __attribute__((ext_vector_type(16)));
 typedef float Float4 __attribute__((ext_vector_type(4)));
 typedef Float4 UnalignedFloat4 __attribute__((aligned(4)));
 
-struct Arguments {                      // the twin of moment.py's
-    const float *quats, *log_scales;    // near × count × 4 and × 3: the knots about the moment
-    const float* turns;                 // near × count × 4
-    const float *sh, *drift;            // count × COEFFICIENTS × 3, the latter or null
-    float *quats_out, *log_scales_out;  // log scales may be null, as above
+struct Arguments {                            // the twin of moment.py's
+    const float *means, *quats, *log_scales;  // near × count × 3, 4, 3: the knots about the moment
+    const short* turns;                       // near × count × 4
+    const float *sh, *drift;                  // count × COEFFICIENTS × 3, the latter or null
+    float *means_out, *quats_out, *log_scales_out;  // log scales may be null, as above
     float* sh_out;
     long long count, near;
     float weights[NEAR], way;  // of the knots, and of the drift
@@ -20,9 +20,9 @@ const Arguments& given = *(const Arguments*)arguments;
 const long count = given.count;
 const int near = (int)given.near;
 
-auto between = [&](const float* knots, int size, int rows, long first, float* __restrict__ out) {
+auto between = [&](const auto* knots, int size, int rows, long first, float* __restrict__ out) {
 #pragma clang fp contract(fast)
-    const float* __restrict__ from = knots + first * size;
+    const auto* __restrict__ from = knots + first * size;
     for (int i = 0; i < rows * size; ++i) out[i] = given.weights[0] * from[i];
     for (int k = 1; k < near; ++k) {
         const float weight = given.weights[k];
@@ -59,6 +59,7 @@ const long end = count * (part + 1) / parts;
 for (long p = count * part / parts; p < end; p += LANES) {
 #pragma clang fp contract(fast)
     const int lanes = end - p < LANES ? (int)(end - p) : LANES;
+    between(given.means, 3, lanes, p, given.means_out + p * 3);
     between(given.quats, 4, lanes, p, given.quats_out + p * 4);
     if (given.log_scales) between(given.log_scales, 3, lanes, p, given.log_scales_out + p * 3);
     float turn[LANES * 4];

@@ -22,8 +22,9 @@ class _Arguments(ctypes.Structure):
     """The twin of the one in ``moment.h``."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("quats", "log_scales", "turns", "sh", "drift")),
-        *((name, ctypes.c_void_p) for name in ("quats_out", "log_scales_out", "sh_out")),
+        *((name, ctypes.c_void_p) for name in ("means", "quats", "log_scales", "turns")),
+        *((name, ctypes.c_void_p) for name in ("sh", "drift")),
+        *((f"{name}_out", ctypes.c_void_p) for name in ("means", "quats", "log_scales", "sh")),
         *((name, ctypes.c_int64) for name in ("count", "near")),
         ("weights", ctypes.c_float * NEAR),
         ("way", ctypes.c_float),
@@ -49,11 +50,13 @@ def _array(name: str, values: Iterable[float]) -> str:
 
 def takes(paths: Mapping[str, Tensor], sh: Tensor, degree: int) -> bool:
     """Whether the moment is for ``moment``: its colours turn, and all of it is of one dtype."""
+    others = [path for name, path in paths.items() if name != "turns"]
     return (
         0 < degree <= MOST_DEGREE
         and "turns" in paths
-        and all(path.dtype == sh.dtype for path in paths.values())
-        and _program(degree).takes(sh, *paths.values())
+        and paths["turns"].dtype == torch.int16
+        and all(path.dtype == sh.dtype for path in others)
+        and _program(degree).takes(sh, *others)
     )
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from splatmorph.gaussians import Gaussians
 from splatmorph.morph import Morph
 from splatmorph.morph.covariance import polar_rotation
-from splatmorph.morph.transport import Drift
+from splatmorph.morph.paths import Drift
 from splatmorph.view.knots import FINEST, fewest_knots, knot_times, knot_weights
 from splatmorph.view.page.coding import Table
 
