@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
 Item = TypeVar("Item")
 
 
-def ahead(items: Iterable[Item]) -> Iterator[Item]:
+def ahead(items: Iterable[Item], beside: Callable[[Item], bool] | None = None) -> Iterator[Item]:
     """The same items in the same order, each made while the one before it is used.
 
+    Where ``beside`` says no to an item, none is made as long as it is used, to save the memory.
     What making one raises, comes through in its turn. Whoever stops early waits for at most one
     item that is being made.
     """
     iterator = iter(items)
     with ThreadPoolExecutor(1, "ahead") as thread:
-        coming = thread.submit(_next, iterator)
-        while found := coming.result():
-            coming = thread.submit(_next, iterator)
+        # What is taken out, and deleted below, isn't held while another is made.
+        coming = [thread.submit(_next, iterator)]
+        while found := coming.pop().result():
+            waits = beside is not None and not beside(*found)
+            if not waits:
+                coming.append(thread.submit(_next, iterator))
             yield from found
-            del found  # or its memory would be held while the one after the next is made
+            del found
+            if waits:
+                coming.append(thread.submit(_next, iterator))
 
 
 def _next(iterator: Iterator[Item]) -> tuple[Item, ...]:

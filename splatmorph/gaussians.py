@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -12,10 +13,14 @@ from torch import Tensor
 from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import from_matrices, normalized, product
 from splatmorph.geometry.similarity import Similarity
+from splatmorph.steady import one_thread
 
 MAX_SH_DEGREE = 4
 FAINTEST_DRAWN = 1 / 255
 """Opacity below which no rasterizer draws a splat: leaving it out changes no picture."""
+
+PART = 1 << 15
+"""Splats that are moved at a time."""
 
 UPS: Mapping[str, tuple[int, int, int]] = {
     "x": (1, 0, 0),
@@ -103,23 +108,29 @@ class Gaussians:
         means = self.means.double()
         return means + means.new_tensor(self.offset)
 
-    def moved(self, similarity: Similarity) -> Gaussians:
+    @one_thread()
+    def moved(self, similarity: Similarity, *, in_place: bool = False) -> Gaussians:
         """The splats at x ↦ s R x + t: centers, Σ' = s² R Σ Rᵀ, and colours that turn with them.
 
-        ``up`` turns too, and is lost where it ends between the axes.
+        ``up`` turns too, and is lost where it ends between the axes. What nobody else holds may be
+        moved ``in_place``.
         """
         if similarity.is_identity:
             return self
         turn = from_matrices(similarity.rotation).to(self.quats.device)
-        quats = product(turn.expand(len(self), 4), normalized(self.quats.double()))
-        return replace(
-            self,
-            means=similarity(self.means),
-            quats=quats.to(self.quats.dtype),
-            log_scales=self.log_scales + math.log(similarity.scale),
-            sh=rotate_sh(self.sh, similarity.rotation.to(self.sh.device)),
-            up=_turned_up(self.up, similarity.rotation),
-        )
+        made = self
+        if not in_place:
+            names = ("means", "quats", "log_scales", "sh")
+            room: dict[str, Any] = {name: torch.empty_like(getattr(self, name)) for name in names}
+            made = replace(self, **room)
+        # By parts: double precision takes much memory.
+        for begin in range(0, len(self), PART):
+            part = slice(begin, begin + PART)
+            made.means[part] = similarity(self.means[part])
+            made.quats[part] = product(turn, normalized(self.quats[part].double())).to(self.quats)
+            made.log_scales[part] = self.log_scales[part] + math.log(similarity.scale)
+            made.sh[part] = rotate_sh(self.sh[part], similarity.rotation.to(self.sh.device))
+        return replace(made, up=_turned_up(self.up, similarity.rotation))
 
     def select(self, index: Tensor | slice) -> Gaussians:
         """The splats at ``index``: a (m,) tensor of indices, an (n,) boolean mask or a slice."""

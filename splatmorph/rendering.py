@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import functools
 import math
+import weakref
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import ParamSpec, TypeVar
@@ -54,6 +55,9 @@ gather = _with_our_errors(renderer.gather)
 orbit = _with_our_errors(renderer.orbit)
 rasterize = _with_our_errors(renderer.rasterize)
 
+LARGE = 1 << 28
+"""Bytes of a splat beside which no other is made: drawing and making it keep all cores busy."""
+
 SWING = 40.0
 """Degrees to each side that a turntable of a morph swings: heads from one picture have no back."""
 
@@ -92,10 +96,10 @@ def pictures(
 ) -> Iterator[NDArray[np.uint8]]:
     """The picture of each splat before its camera, as ``render`` makes it, in order.
 
-    The next splat is made while this one is drawn; one that stands before several cameras, one
-    after the other, is prepared once.
+    The next splat is made while this one is drawn, unless that is ``LARGE``; one that stands
+    before several cameras, one after the other, is prepared once.
     """
-    coming = ahead(_all_arrays(splats))
+    coming = ahead(_all_arrays(splats), beside=_is_small)
     for camera in cameras:
         (arrays,) = islice(coming, 1)
         picture = _picture(arrays, camera, background, device)
@@ -103,12 +107,21 @@ def pictures(
         yield picture
 
 
+def _is_small(arrays: Arrays) -> bool:
+    return sum(array.nbytes for array in arrays) <= LARGE
+
+
 def _all_arrays(splats: Iterable[Gaussians]) -> Iterator[Arrays]:
-    shown, arrays = None, None
+    # What held a splat or all of its arrays would keep the next one from its memory.
+    shown: weakref.ref[Gaussians] | None = None
     for splat in splats:
-        if arrays is None or splat is not shown:
-            shown, arrays = splat, renderer_arrays(splat)
+        if shown is None or splat is not shown():
+            arrays = renderer_arrays(splat)
+            shown, activated = weakref.ref(splat), arrays[2:4]
+        else:
+            arrays = _arrays(splat, *activated)
         yield arrays
+        del splat, arrays
 
 
 def _picture(
@@ -132,17 +145,16 @@ def _picture(
 @one_thread()  # others would spin for a while, and take a core from the rasterizer
 def renderer_arrays(gaussians: Gaussians) -> Arrays:
     """means, quats, scales, opacities and sh as ``renderer.rasterize`` takes them."""
+    return _arrays(gaussians, _array(gaussians.scales), _array(gaussians.opacities))
 
-    def array(field: torch.Tensor) -> Array:
-        return field.detach().to("cpu", torch.float32).contiguous().numpy()
 
-    return (
-        array(gaussians.means),
-        array(gaussians.quats),
-        array(gaussians.scales),
-        array(gaussians.opacities),
-        array(gaussians.sh),
-    )
+def _arrays(gaussians: Gaussians, scales: Array, opacities: Array) -> Arrays:
+    means, quats, sh = map(_array, (gaussians.means, gaussians.quats, gaussians.sh))
+    return means, quats, scales, opacities, sh
+
+
+def _array(field: torch.Tensor) -> Array:
+    return field.detach().to("cpu", torch.float32).contiguous().numpy()
 
 
 def bounds(*splats: Gaussians) -> Bounds:

@@ -12,6 +12,8 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
+from splatmorph.steady import one_thread
+
 SH0 = 0.28209479177387814
 """√(1/4π), the harmonic of degree 0: a stored f_dc shows as the colour 0.5 + SH0 · f_dc."""
 CHUNK = 1 << 13
@@ -38,6 +40,7 @@ def harmonics(directions: Tensor, degree: int) -> Tensor:
     return torch.stack(band, -1)
 
 
+@one_thread()
 def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
     """Coefficients of the turned colours c'(d) = c(Rᵀd), exact in every degree.
 
@@ -50,7 +53,8 @@ def rotate_sh(sh: Tensor, rotations: Tensor) -> Tensor:
     if degree == 0:
         return sh
     if rotations.ndim == 2:
-        return _rotated_alike(sh, rotations)
+        turn = _turning(rotations, degree, sh.shape[2]).to(sh)
+        return torch.cat([part.flatten(1) @ turn for part in sh.split(CHUNK)]).view(sh.shape)
     parts = zip(sh.split(CHUNK), rotations.to(sh.dtype).split(CHUNK), strict=True)
     return torch.cat([_rotated(part, turn, degree) for part, turn in parts])
 
@@ -65,17 +69,12 @@ def _rotated(sh: Tensor, rotations: Tensor, degree: int) -> Tensor:
     return torch.cat(bands, dim=1)
 
 
-def _rotated_alike(sh: Tensor, rotation: Tensor) -> Tensor:
-    # A matrix does to the coefficients of every splat what it does to unit vectors.
-    count, size, channels = sh.shape
-    units = torch.eye(size, dtype=torch.float64, device=sh.device)[:, :, None]
-    turned = _rotated(units, rotation[None].to(units), math.isqrt(size) - 1)[:, :, 0]
-    matrix = torch.kron(turned, torch.eye(channels).to(turned)).to(sh)
-    out = sh.new_empty(count, size * channels)
-    for begin in range(0, count, CHUNK):
-        part = slice(begin, begin + CHUNK)
-        torch.mm(sh[part].flatten(1), matrix, out=out[part])
-    return out.view(sh.shape)
+def _turning(rotation: Tensor, degree: int, channels: int) -> Tensor:
+    """The matrix by which the coefficients of a splat, in a row, are to be multiplied to turn."""
+    # What it does to unit vectors.
+    units = torch.eye((degree + 1) ** 2, dtype=torch.float64)[:, :, None]
+    turned = _rotated(units, rotation[None].to(units), degree)[:, :, 0]
+    return torch.kron(turned, torch.eye(channels).to(turned))
 
 
 @lru_cache

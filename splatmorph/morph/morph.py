@@ -128,23 +128,29 @@ class Morph:
         infinity raises ``NonFiniteError`` at that frame.
         """
         check_times(times)
-        ease = EASES[self.ease]
-        alike = [(t, sum(1 for _ in same)) for t, same in groupby(map(ease, times))]
-        eased = [t for t, _ in alike]
-        sources = self._half(self.source, eased, leaves=1)
-        targets = self._half(self.aligned, [t - 1 for t in eased], leaves=-1)
+        return self._frames(list(map(EASES[self.ease], times)))
+
+    def _frames(self, times: Sequence[float]) -> Iterator[Gaussians]:
+        alike = [(t, sum(1 for _ in same)) for t, same in groupby(times)]
+        times = [t for t, _ in alike]
+        sources = self._half(self.source, times, leaves=1)
+        targets = self._half(self.aligned, [t - 1 for t in times], leaves=-1)
         memory = Memory()
-        halves = zip(sources, targets, eased, strict=True)
-        frames = (self._placed(source, target, t, memory) for source, target, t in halves)
-        return (
-            frame for frame, (_, count) in zip(frames, alike, strict=True) for _ in range(count)
-        )
+        for source, target, (t, count) in zip(sources, targets, alike, strict=True):
+            frame = self._placed(source, target, t, memory)
+            for _ in range(count):
+                yield frame
+            del frame  # or the next one couldn't have its memory
 
     @cached_property
     def aligned(self) -> Gaussians:
         """The target in the source's place, S⁻¹y: what meets the source on the way."""
         moved = self.target.moved(self.frame.inverse())
         return replace(moved, up=self.source.up or moved.up, offset=self.source.offset)
+
+    def in_place(self) -> Morph:
+        """The same morph for the source's place alone, which holds no more of the target."""
+        return replace(self, target=self.aligned, frame=Similarity.identity(), stay=True)
 
     @property
     def _degree(self) -> int:
@@ -166,7 +172,9 @@ class Morph:
             added, *first = (replace(one.moved(place), offset=offset) for one in others)
             whole = Gaussians.union(self.target, added) if len(added) else self.target
             return Gaussians.union(first[0], whole) if first else whole
-        whole = _joined(source, target, memory).moved(place)
+        whole = _joined(source, target, memory)
+        ours = source is not None and target is not None and Memory.holds(whole)
+        whole = whole.moved(place, in_place=ours)
         if self.source.offset == self.target.offset:
             return whole
         return replace(whole, offset=_between(self.source.offset, self.target.offset, t))

@@ -24,7 +24,7 @@ from torch import Tensor
 from splatmorph.flows import Flow
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.quaternions import to_matrices
-from splatmorph.morph.paths import KNOTS, jacobian_blocks
+from splatmorph.morph.paths import KNOTS, for_each_block
 from splatmorph.morph.ramps import DENSEST, STEPS, interpolated, scaled_logits
 
 SHARE = math.sqrt(0.5)
@@ -66,10 +66,13 @@ def _longest(gaussians: Gaussians, flow: Flow, direction: int) -> Tensor:
     """(n, 3) the longest that each axis becomes on the way from t = 0 to ``direction``."""
     stops = [direction * k / KNOTS for k in range(1, KNOTS + 1)]
     lengths = gaussians.scales.clone()
-    for block, _, jacobians in jacobian_blocks(flow, gaussians.means, stops):
+
+    def work_out(block: slice, _: Tensor, jacobians: Tensor) -> None:
         axes = to_matrices(gaussians.quats[block])
         stretches = (jacobians @ axes).square().sum(2).amax(0).sqrt()
         lengths[block] *= stretches.clamp_min(1)
+
+    for_each_block(work_out, flow, gaussians.means, stops)
     return lengths
 
 

@@ -17,7 +17,7 @@ from splatmorph.geometry.harmonics import rotate_sh
 from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes, polar_rotation
 from splatmorph.morph.native import moment as native
-from splatmorph.morph.paths import Drift, jacobian_blocks, paths_of
+from splatmorph.morph.paths import Drift, Path, for_each_block, paths_of
 from splatmorph.steady import one_thread
 
 
@@ -94,7 +94,7 @@ def move_shapes(
 
 
 def moment(
-    paths: Mapping[str, Tensor],
+    paths: Mapping[str, Path],
     weights: Tensor,
     sh: Tensor,
     degree: int,
@@ -103,8 +103,7 @@ def moment(
     """What splats are between knots; the plain twin of the C++ in ``native/moment.h``.
 
     Arguments:
-        paths: by name what changes, (near, n, c) at the knots about the moment; ``turns`` of any
-            length, also as integers.
+        paths: by name what changes, at the knots about the moment.
         weights: (near,) of those.
         sh, degree: the colours at the start, (n, (degree + 1)², 3).
         drift: what the colours drift by, of the shape of ``sh``, and how much of it.
@@ -112,14 +111,10 @@ def moment(
     Returns:
         what has changed, and ``sh``: turned by ``turns``, where they are among the paths.
     """
-
-    def between(path: Tensor) -> Tensor:
-        return (weights.to(path) @ path.flatten(1)).reshape(path.shape[1:])
-
-    changed = {name: between(path) for name, path in paths.items() if name != "turns"}
+    changed = {name: path.at(weights) for name, path in paths.items()}
+    turns = changed.pop("turns", None)
     changed["sh"] = sh if drift is None else torch.add(sh, drift[0], alpha=drift[1])
-    if "turns" in paths:
-        turns = between(paths["turns"].to(sh))
+    if turns is not None:
         changed["sh"] = rotate_sh(changed["sh"], to_matrices(turns))
     return changed
 
@@ -145,9 +140,12 @@ def colour_turns(gaussians: Gaussians, flow: Flow, t: float, covariance: str) ->
     if not gaussians.sh_degree or covariance == "fixed":
         return None
     turns = torch.empty(len(gaussians), 3, 3)
-    for block, _, jacobians in jacobian_blocks(flow, gaussians.means, [t]):
+
+    def work_out(block: slice, _: Tensor, jacobians: Tensor) -> None:
         turned = polar_rotation(jacobians[0].double().permute(1, 2, 0).contiguous())
         turns[block] = turned.permute(2, 0, 1).float()
+
+    for_each_block(work_out, flow, gaussians.means, [t])
     return turns
 
 

@@ -12,6 +12,7 @@ from splatmorph.geometry.quaternions import to_matrices
 from splatmorph.morph.covariance import carried_shapes
 from splatmorph.morph.native import shapes
 from splatmorph.morph.native.moment import moment as native_moment
+from splatmorph.morph.paths import TURN, Path
 from splatmorph.morph.transport import COVARIANCES, moment
 
 COUNT = 1003
@@ -131,21 +132,26 @@ def test_splats_travel_alike_natively_and_plainly(covariance: str) -> None:
             )
 
 
+def paths_through(knots: int, **sizes: int) -> dict[str, Path]:
+    """Paths that wander by chance from where ``turns`` begin."""
+    paths = {}
+    for name, size in sizes.items():
+        start = (torch.arange(size) == 0).float().expand(COUNT, size)
+        paths[name] = Path(start, start + 0.3 * normal(knots, COUNT, size, seed=size).float())
+    turns = paths["turns"]
+    return paths | {"turns": Path(TURN * turns.start, (TURN / 4 * turns.knots).short())}
+
+
 @pytest.mark.parametrize("degree", [1, 2, 3, 4])
 @pytest.mark.parametrize("drifts", [False, True])
 def test_native_moments_are_the_plain_ones(degree: int, drifts: bool) -> None:
     coefficients = (degree + 1) ** 2
-    knots = {"means": 3, "quats": 4, "log_scales": 3, "turns": 4}
-    paths = {
-        name: normal(4, COUNT, size, seed=size).float() + 2 * (torch.arange(size) == 0)
-        for name, size in knots.items()
-    }
-    paths["turns"] = (4000 * paths["turns"]).short()
+    paths = paths_through(4, means=3, quats=4, log_scales=3, turns=4)
     weights = torch.tensor([-0.1, 0.7, 0.5, -0.1], dtype=torch.float64)
     sh = normal(COUNT, coefficients, 3, seed=5).float()
     drift = (normal(COUNT, coefficients, 3, seed=6).float(), 0.4) if drifts else None
     for near in (4, 3):
-        given = {name: path[:near] for name, path in paths.items()}
+        given = {name: Path(one.start, one.knots[:near]) for name, one in paths.items()}
         ours, theirs = (
             made(given, weights[:near], sh, degree, drift) for made in (native_moment, moment)
         )
@@ -155,9 +161,7 @@ def test_native_moments_are_the_plain_ones(degree: int, drifts: bool) -> None:
 
 
 def test_native_moments_without_stretch_and_on_any_number_of_threads() -> None:
-    sizes = {"means": 3, "quats": 4}
-    paths = {name: normal(4, COUNT, size, seed=size).float() for name, size in sizes.items()}
-    paths["turns"] = torch.ones(4, COUNT, 4, dtype=torch.int16)
+    paths = paths_through(4, means=3, quats=4, turns=4)
     weights, sh = torch.full((4,), 0.25), normal(COUNT, 16, 3, seed=5).float()
     threads = torch.get_num_threads()
     try:

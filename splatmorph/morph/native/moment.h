@@ -7,26 +7,35 @@ typedef float Floats __attribute__((ext_vector_type(16)));
 typedef float Float4 __attribute__((ext_vector_type(4)));
 typedef Float4 UnalignedFloat4 __attribute__((aligned(4)));
 
-struct Arguments {                            // the twin of moment.py's
-    const float *means, *quats, *log_scales;  // near × count × 3, 4, 3: the knots about the moment
-    const short* turns;                       // near × count × 4
-    const float *sh, *drift;                  // count × COEFFICIENTS × 3, the latter or null
-    float *means_out, *quats_out, *log_scales_out;  // log scales may be null, as above
-    float* sh_out;
+struct Path {
+    const float* start;  // count × size
+    const float* knots;  // near × count × size, those about the moment
+};
+struct Turns {
+    const float* start;  // null, which is TURN 0 0 0
+    const short* knots;  // near × count × 4
+};
+struct Arguments {                         // the twin of moment.py's
+    Path means, quats, log_scales;  // of 3, 4 and 3; log scales may be null, as below
+    Turns turns;
+    const float *sh, *drift;               // count × COEFFICIENTS × 3, the latter or null
+    float *means_out, *quats_out, *log_scales_out, *sh_out;
     long long count, near;
-    float weights[NEAR], way;  // of the knots, and of the drift
+    float weights[NEAR], rest, way;  // of the knots, of the start, and of the drift
 };
 const Arguments& given = *(const Arguments*)arguments;
 const long count = given.count;
 const int near = (int)given.near;
 
-auto between = [&](const auto* knots, int size, int rows, long first, float* __restrict__ out) {
+auto between = [&](const auto& path, int size, int rows, long first, float* __restrict__ out) {
 #pragma clang fp contract(fast)
-    const auto* __restrict__ from = knots + first * size;
-    for (int i = 0; i < rows * size; ++i) out[i] = given.weights[0] * from[i];
-    for (int k = 1; k < near; ++k) {
+    if (path.start)
+        for (int i = 0; i < rows * size; ++i) out[i] = given.rest * path.start[first * size + i];
+    else
+        for (int i = 0; i < rows * size; ++i) out[i] = i % size ? 0.f : given.rest * TURN;
+    const auto* __restrict__ from = path.knots + first * size;
+    for (int k = 0; k < near; ++k, from += count * size) {
         const float weight = given.weights[k];
-        from += count * size;
         for (int i = 0; i < rows * size; ++i) out[i] += weight * from[i];
     }
 };
@@ -61,7 +70,7 @@ for (long p = count * part / parts; p < end; p += LANES) {
     const int lanes = end - p < LANES ? (int)(end - p) : LANES;
     between(given.means, 3, lanes, p, given.means_out + p * 3);
     between(given.quats, 4, lanes, p, given.quats_out + p * 4);
-    if (given.log_scales) between(given.log_scales, 3, lanes, p, given.log_scales_out + p * 3);
+    if (given.log_scales.knots) between(given.log_scales, 3, lanes, p, given.log_scales_out + p * 3);
     float turn[LANES * 4];
     for (int i = 0; i < LANES * 4; ++i) turn[i] = i % 4 == 0;
     between(given.turns, 4, lanes, p, turn);
