@@ -44,3 +44,22 @@ def test_an_error_comes_through_in_its_turn_and_an_early_end_leaves_no_thread() 
     assert next(early) == 0
     early.close()
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("ahead")]
+
+
+def test_nothing_is_made_beside_what_is_large_until_that_is_gone() -> None:
+    gone: list[int] = []
+
+    class Large:
+        def __init__(self, number: int) -> None:
+            self.number = number
+
+        def __del__(self) -> None:
+            gone.append(self.number)
+
+    def items() -> Iterator[Large]:
+        for number in range(4):
+            assert gone == list(range(number))
+            yield Large(number)
+
+    coming = ahead(items(), beside=lambda _: False)
+    assert [next(coming).number for _ in range(4)] == [0, 1, 2, 3]

@@ -112,6 +112,14 @@ def test_offsets_and_the_axis_up_go_from_one_end_to_the_other() -> None:
     assert (stayed.up, stayed.offset) == ("y", source.offset)
 
 
+@every_covariance
+def test_a_morph_in_place_is_the_one_that_stays(covariance: str) -> None:
+    whole = union(A, B, affine_flow(), frame=similarity(), stay=True, covariance=covariance)
+    for one, other in zip(whole.sequence(TIMES), whole.in_place().sequence(TIMES), strict=True):
+        assert same_bits(one, other)
+        assert (one.up, one.offset) == (other.up, other.offset)
+
+
 def chain(stay: bool = False) -> Chain:
     frames = similarity(), similarity(100, 0.01, -1)
     legs = [(A, B, frames[0]), (B, C, frames[1])]

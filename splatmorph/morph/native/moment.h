@@ -15,10 +15,10 @@ struct Turns {
     const float* start;  // null, which is TURN 0 0 0
     const short* knots;  // near × count × 4
 };
-struct Arguments {                         // the twin of moment.py's
+struct Arguments {                  // the twin of moment.py's
     Path means, quats, log_scales;  // of 3, 4 and 3; log scales may be null, as below
     Turns turns;
-    const float *sh, *drift;               // count × COEFFICIENTS × 3, the latter or null
+    const float *sh, *drift;  // count × COEFFICIENTS × 3, the latter or null
     float *means_out, *quats_out, *log_scales_out, *sh_out;
     long long count, near;
     float weights[NEAR], rest, way;  // of the knots, of the start, and of the drift
