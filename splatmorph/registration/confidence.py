@@ -11,7 +11,8 @@ from splatmorph.registration.gaps import Gap
 from splatmorph.registration.matches import Partners
 from splatmorph.registration.pose import Pose, rival
 
-SURE, FAIR = 0.7, 0.45
+SURE, FAIR, DOUBTED = 0.7, 0.45, 0.44
+"""Confidence from which a search is sure and fairly sure, and the most where it is doubted."""
 NEIGHBOURS = 50
 """Samples whose matches speak for a point among them."""
 HALF_SURE = 0.03
@@ -61,15 +62,15 @@ def of_surfaces(poses: list[Pose], distinct: float, gap: Gap) -> tuple[float, li
         )
     if best.score > UNLIKE:
         doubts.append(
-            "without a face in both, two objects that look so unlike are matched roughly: take "
-            "this as a start and give landmarks where it is wrong"
+            "without a face in both, surfaces that agree as little as these are matched roughly: "
+            "take this as a start and give landmarks where it is wrong"
         )
     elif distinct < TELLING:
         doubts.append(
             "next to nothing on the surfaces is distinct enough to tell what belongs together: "
             "give landmarks"
         )
-    return sure, doubts
+    return min(sure, DOUBTED) if doubts else sure, doubts
 
 
 def in_turns(similarity: Similarity) -> str:

@@ -30,6 +30,8 @@ PLAIN, MOST_TRUST = 0.0095, 4.0
 """Mean distinctness of matches on grey skin: where pictures tell more, the field may bend more, by
 the square of the ratio and at most so many times. Chosen on persons 0 and 1, james → p2-1, and
 p2-1 and status, twisted and swollen."""
+FEW = 1300
+"""Samples that are matched in the widest window."""
 NEIGHBOURS = 8
 
 
@@ -48,6 +50,12 @@ class Schedule:
     """Of the spline field."""
     held: float = 0.1
     """Total weight of the pairs that are given."""
+    wide: int = 0
+    """Rounds in which few samples are matched in the widest window before."""
+
+    def lasting(self, rounds: int) -> Schedule:
+        """The same with so many rounds in its first window, every other one looking anew."""
+        return replace(self, sigmas=self.sigmas[:1] * rounds, looks_anew=tuple(range(0, rounds, 2)))
 
 
 FREE = Schedule(
@@ -58,12 +66,16 @@ FREE = Schedule(
     centers=(120, 300),
 )
 """For two surfaces that nearly lie on each other."""
-FROM_AFAR = replace(
-    FREE,
-    sigmas=(0.3, 0.3, 0.25, 0.22, 0.2, 0.17, 0.14, 0.12, 0.1, 0.08),
-    looks_anew=(0, 2, 4, 6, 8),
-)
+FROM_AFAR = replace(FREE, wide=14)
 """For a pose that was found by search."""
+WIDE = Schedule(
+    sigmas=(WINDOW,),
+    looks_anew=(0,),
+    planes=(0.003, 0.02),
+    bending=(2e-4, 5e-5),
+    centers=(120, 200),
+)
+"""Before it: what a bend or a turn has taken out of sight comes into it as its neighbours move."""
 HELD = replace(FREE, planes=(0.02, 0.1), bending=(6e-5, 2e-5))
 """Where pairs are given: a face's, or landmarks'."""
 
@@ -105,7 +117,7 @@ def match(
     target: Subject,
     schedule: Schedule,
     held: Pairs | None = None,
-    on_round: Callable[[int, int], None] | None = None,
+    on_round: Callable[[], None] | None = None,
 ) -> Matched:
     """Find the flow that lays ``source``, posed on ``target``, on it.
 
@@ -116,10 +128,13 @@ def match(
     ``held`` are pairs in the same coordinates that are to be met beside.
     """
     state = _State(source, target, schedule, held)
+    if schedule.wide:
+        few = source.with_samples(FEW), target.with_samples(FEW)
+        state.node = match(*few, WIDE.lasting(schedule.wide), None, on_round).node
     for number in range(len(schedule.sigmas)):
         if on_round is not None:
-            on_round(number, len(schedule.sigmas))
-        state.advance(number)
+            on_round()
+        state.advance(number, anew=number in schedule.looks_anew)
     return Matched(state.node, state.partners)
 
 
@@ -145,13 +160,13 @@ class _State:
                 self.node, held, bending=schedule.bending[0], centers=centers, corrections=5
             )
 
-    def advance(self, number: int) -> None:
-        """One round: match, then fit."""
+    def advance(self, number: int, *, anew: bool) -> None:
+        """One round: match, then fit; ``anew``: both are looked at as they are at half-time."""
         schedule, a, b = self.schedule, self.a, self.b
         done = number / max(1, len(schedule.sigmas) - 1)
         sigma = schedule.sigmas[number]
         here, there = flow(self.node, a.points, 0.5), flow(self.node, b.points, -0.5)
-        if number in schedule.looks_anew:
+        if anew:
             self.looks = self.fixed + LOOKS * self._compare(here, there)
         self.partners = ahead, back = self._matches(here, there, sigma)
         trust = min(MOST_TRUST, max(1.0, (_distinct(self.partners) / PLAIN) ** 2)) ** done

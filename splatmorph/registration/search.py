@@ -126,8 +126,8 @@ def find_landmarks(
     if method == "face":
         if faces is None:
             raise LandmarkError(
-                "no face is found on both splats, expected one on each: give landmarks, or take "
-                "the method 'surface'"
+                f"{search.faceless}, expected the same side of one on each: give landmarks, or "
+                "take the method 'surface'"
             )
         return Found(*search.of_faces(faces), "faces", float(faces.confidence.mean()), ())
     if faces is None:
@@ -199,11 +199,13 @@ class _Search:
             for splat, box, name in zip((source, target), boxes, ("source", "target"), strict=True)
         )
         self.count, self.seed, self.on_step = count, seed, on_step
-        self.done = 0
+        self.done, self.steps = 0, 2 + 2 + 1 + len(FREE.sigmas)
+        self.faceless = ""
+        """Why there are no pairs of faces, in words."""
 
     def _step(self, what: str) -> None:
         if self.on_step is not None:
-            self.on_step(self.done, 15, what)
+            self.on_step(self.done, self.steps, what)
         self.done += 1
 
     def faces(self, model: str | Path | None) -> _FacePairs | None:
@@ -214,7 +216,12 @@ class _Search:
             self._step(f"looking for a face on the {name}")
             found.append(find_face(splat, network))
         source, target = found
-        return None if source is None or target is None else _FacePairs.of(source, target)
+        if source is not None and target is not None:
+            self.faceless = "the two faces show next to nothing in common"
+            return _FacePairs.of(source, target)
+        without = [name for name, face in (("source", source), ("target", target)) if face is None]
+        self.faceless = f"no face is found on the {' and on the '.join(without)}"
+        return None
 
     def of_faces(self, faces: _FacePairs) -> tuple[Landmarks, Landmarks]:
         """The faces' own points."""
@@ -261,6 +268,7 @@ class _Search:
         poses = find_poses(source, target, as_is)
         best = poses[0].similarity
         schedule = FREE if best is as_is else FROM_AFAR
+        self.steps += schedule.wide
         flowing = self._flowing(source.posed(best), target, schedule, None)
         sure, doubts = confidence.of_surfaces(poses, flowing.matched.distinct, flowing.gap)
         nothing = torch.zeros(0, 3, dtype=torch.float64)
@@ -289,9 +297,7 @@ class _Search:
     def _flowing(
         self, source: Subject, target: Subject, schedule: Schedule, held: Pairs | None
     ) -> _Flowing:
-        found = match(
-            source, target, schedule, held, lambda *_: self._step("matching the surfaces")
-        )
+        found = match(source, target, schedule, held, lambda: self._step("matching the surfaces"))
         found.node.steps = OUT_STEPS
         return _Flowing(source, target, found)
 

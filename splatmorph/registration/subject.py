@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -44,6 +44,10 @@ class Subject:
             turned(self.samples, pose),
             pose @ self.to_unit,
         )
+
+    def with_samples(self, count: int) -> Subject:
+        """The same with the first samples only, which lie over all of the surface."""
+        return replace(self, samples=self.samples.select(np.arange(min(count, len(self.samples)))))
 
 
 def prepare(gaussians: Gaussians, *, samples: int = SAMPLES, seed: int = 0) -> Subject:

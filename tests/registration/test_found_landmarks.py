@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -79,6 +80,24 @@ def test_any_pose_and_a_known_warp_are_found_by_surfaces(head: Gaussians, posed:
     sure, doubtful = (errors[one] for one in (found.source.confidence > half,
                                               found.source.confidence <= half))  # fmt: skip
     assert float(sure.mean()) < float(doubtful.mean())
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="cores can't be taken away here")
+def test_the_bits_are_the_same_on_one_core_as_on_all(head: Gaussians, posed: Gaussians) -> None:
+    threads, cores = torch.get_num_threads(), os.sched_getaffinity(0)
+    ends = []
+    try:
+        for some, used in ((1, {min(cores)}), (2, cores)):
+            torch.set_num_threads(some)
+            os.sched_setaffinity(0, used)
+            found = find_landmarks(head, posed, "surface", count=40)
+            ends.append((found.source.points, found.target.points, found.source.confidence))
+            assert torch.get_num_threads() == some
+    finally:
+        os.sched_setaffinity(0, cores)
+        torch.set_num_threads(threads)
+    for one, other in zip(*ends, strict=True):
+        assert torch.equal(one, other)
 
 
 def test_few_landmarks_are_kept_and_added_to(head: Gaussians, posed: Gaussians) -> None:
