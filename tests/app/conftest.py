@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -13,9 +14,16 @@ from splatmorph import io
 from splatmorph.app import console, run
 from splatmorph.gaussians import Gaussians
 from splatmorph.landmarks import Landmarks
+from splatmorph.morph import agreement
 
 MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(autouse=True)
+def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """How well halves agree is not what commands are tested by."""
+    monkeypatch.setattr(agreement, "views_of", partial(agreement.views_of, count=4))
 
 
 @pytest.fixture

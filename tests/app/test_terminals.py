@@ -38,7 +38,7 @@ def _environment(**more: str) -> dict[str, str]:
     return {**os.environ, "PYTHONPATH": str(ROOT), "OMP_NUM_THREADS": "1", **more}
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
+@pytest.mark.parametrize("encoding", ["ascii", pytest.param("cp1252", marks=pytest.mark.long)])
 def test_terminals_without_arrows(pair: Path, encoding: str) -> None:
     done = subprocess.run(
         [*COMMAND, "fit", "a.ply", "b.ply", "-o", f"{encoding}.run"],
@@ -52,7 +52,7 @@ def test_terminals_without_arrows(pair: Path, encoding: str) -> None:
     assert b"a -> b" in done.stdout
 
 
-@pytest.mark.parametrize("encoding", ["", "cp1252"])
+@pytest.mark.parametrize("encoding", ["", pytest.param("cp1252", marks=pytest.mark.long)])
 def test_a_locale_without_letters_and_a_name_that_steers_the_terminal(
     pair: Path, tmp_path: Path, encoding: str
 ) -> None:

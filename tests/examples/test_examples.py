@@ -60,6 +60,7 @@ def test_an_example_is_short(example: Path) -> None:
     assert len(example.read_text(encoding="utf-8").splitlines()) < 40
 
 
+@pytest.mark.long
 def test_the_notebook_runs() -> None:
     book = json.loads((HOUSE / "examples/step_by_step.ipynb").read_text(encoding="utf-8"))
     names: dict[str, object] = {}

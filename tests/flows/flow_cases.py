@@ -36,7 +36,6 @@ def random_flow(options: dict[str, str], dim: int, seed: int) -> Flow:
     elif isinstance(flow, Node) and isinstance(flow.field, SirenField):
         random_spline(flow.field.base, generator, size=0.05)
         flow.field.network.initialise(generator)
-        flow.steps = 32  # drawn networks are steeper than fitted ones, for which `fit` chooses
     elif isinstance(flow, NCF):
         flow.initialise(generator)
         flow.generator.copy_(0.3 * torch.randn(dim, dim, generator=generator))
@@ -46,6 +45,8 @@ def random_flow(options: dict[str, str], dim: int, seed: int) -> Flow:
     elif isinstance(flow, ThinPlate):
         random_spline(flow.onward, generator)
         random_spline(flow.back, generator)
+    if isinstance(flow, Node):
+        flow.steps = 32  # drawn fields are steeper than fitted ones, for which `fit` chooses
     flow.set_frame(torch.linspace(2.0, 3.0, dim), 1.7)
     return flow
 

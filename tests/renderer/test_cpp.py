@@ -194,7 +194,13 @@ def test_processes_fill_a_cold_cache_together(tmp_path: Path) -> None:
     assert [one.communicate(timeout=300)[0] for one in together] == ["True\n", "True\n"]
 
 
-@pytest.mark.parametrize("when", ["before", "after", "during", "compiling"])
+@pytest.mark.parametrize(
+    "when",
+    [
+        *(pytest.param(when, marks=pytest.mark.long) for when in ("before", "after", "during")),
+        "compiling",
+    ],
+)
 @pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
 def test_children_draw_as_their_parent(method: str, when: str) -> None:
     if not hasattr(os, "fork") and method != "spawn":

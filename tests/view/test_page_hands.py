@@ -14,12 +14,15 @@ from page_cases import GROUND, our_picture, psnr, scene
 
 from splatmorph.fitting import fit
 from splatmorph.flows import make_flow
+from splatmorph.io import read
+from splatmorph.landmarks import Landmarks
 from splatmorph.morph import Morph
-from splatmorph.samples import sample_pair
 from splatmorph.view.page import write_page
 from splatmorph.view.scene import Scene
 from splatmorph.view.subject import Subject
 
+ASSETS = Path(__file__).parents[2] / "assets"
+PAIR = ("ines", "otto")
 EVERY = 12
 """Of the sample pair's splats, one in so many."""
 KEEP_DOWNLOADS = """(() => {
@@ -30,7 +33,9 @@ KEEP_DOWNLOADS = """(() => {
 })()"""
 
 
-@pytest.fixture(scope="module", params=["chromium", "firefox"])
+@pytest.fixture(
+    scope="module", params=["chromium", pytest.param("firefox", marks=pytest.mark.long)]
+)
 def driven(request: pytest.FixtureRequest) -> Iterator[Driven]:
     """A browser of either kind that has WebGL 2."""
     with virtual_display() as display:
@@ -58,8 +63,8 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def heads(tmp_path_factory: pytest.TempPathFactory) -> dict[str, tuple[Path, Morph]]:
     """The sample pair as it is and without its harmonics, each with its page."""
-    (a, marks_a), (b, marks_b) = sample_pair()
-    a, b = (side.select(slice(None, None, EVERY)) for side in (a, b))
+    a, b = (read(ASSETS / f"{name}.ply").select(slice(None, None, EVERY)) for name in PAIR)
+    marks_a, marks_b = (Landmarks.read(ASSETS / f"{name}.landmarks.json") for name in PAIR)
     flow = make_flow("node", dim=3)
     fit(flow, marks_a, marks_b)
     made = {}

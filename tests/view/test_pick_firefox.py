@@ -10,6 +10,7 @@ from splatmorph.runs.request import fit_run
 from splatmorph.runs.settings import Finding
 
 
+@pytest.mark.long
 def test_twelve_features_clicked_saved_and_morphed(tmp_path):
     program = find_firefox()
     if program is None:
