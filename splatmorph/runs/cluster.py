@@ -53,7 +53,9 @@ def local_cluster(workers: int) -> Iterator[Any]:
                 threads_per_worker=1,
                 processes=True,
                 security=True,
-                dashboard_address=None,
+                # None means port 8787, and a warning where that is taken.
+                dashboard_address="127.0.0.1:0",
+                scheduler_kwargs={"dashboard": False},
                 silence_logs=logging.CRITICAL,
                 # Workers keep no more than a row at a time, and a row may need the machine.
                 memory_limit=0,

@@ -54,7 +54,11 @@ def test_a_scheduler_is_used_only_with_workers_of_use(
     import distributed
 
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        protocol="tcp",
     ) as cluster:
         address = cluster.scheduler_address
         with remote_cluster(address, tmp_path) as client:
@@ -68,7 +72,11 @@ def test_a_scheduler_is_used_only_with_workers_of_use(
             with pytest.raises(RunError, match=r"has splatmorph 0\.0"):
                 remote_cluster(address, tmp_path).__enter__()
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
+        n_workers=1,
+        threads_per_worker=2,
+        processes=False,
+        dashboard_address="127.0.0.1:0",
+        protocol="tcp",
     ) as cluster:
         refused = remote_cluster(cluster.scheduler_address, tmp_path)
         with pytest.raises(RunError, match="2 tasks at once"), refused:
