@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import torch
-from conftest import assert_same_picture, pinhole, random_scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scenes import assert_same_picture, pinhole, random_scene
 
 from renderer import ArgumentError, native, rasterize, rasterize_reference
 from renderer.cpp import plain_twins
