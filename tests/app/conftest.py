@@ -20,7 +20,7 @@ MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture
 def few_views(monkeypatch: pytest.MonkeyPatch) -> None:
     """How well halves agree is not what commands are tested by."""
     monkeypatch.setattr(agreement, "views_of", partial(agreement.views_of, count=4))

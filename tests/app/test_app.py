@@ -28,6 +28,7 @@ from splatmorph.runs.run import open_run
 
 MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
+pytestmark = pytest.mark.usefixtures("few_views")
 
 
 # The main job -------------------------------------------------------------------------------

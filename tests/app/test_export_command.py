@@ -20,6 +20,7 @@ from splatmorph.landmarks import Landmarks
 
 MakeGaussians = Callable[..., Gaussians]
 Run = Callable[..., tuple[int, str, str]]
+pytestmark = pytest.mark.usefixtures("few_views")
 
 
 def test_the_extension_of_out_says_one_file_or_a_folder(fitted: Path, cli: Run) -> None:

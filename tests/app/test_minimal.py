@@ -14,6 +14,7 @@ from outcomes import failed
 from PIL import Image
 
 Run = Callable[..., tuple[int, str, str]]
+pytestmark = pytest.mark.usefixtures("few_views")
 HOUSE = Path(__file__).parents[2]
 OF_EXTRAS = {
     "cv2": "faces",

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from scenes import assert_same_picture, pinhole, random_scene
+from random_scenes import assert_same_picture, pinhole, random_scene
 
 from renderer import rasterize, rasterize_reference
 from renderer.cpp import Program, build, plain_twins
@@ -165,7 +165,7 @@ def test_more_parts_need_no_other_change(tmp_path: Path) -> None:
     changed = tmp_path / "renderer" / "native" / "layout.py"
     changed.write_text(changed.read_text().replace("PARTS = 16", "PARTS = 32"))
     script = """
-from scenes import assert_same_picture, pinhole, random_scene
+from random_scenes import assert_same_picture, pinhole, random_scene
 from renderer import native, rasterize, rasterize_reference
 assert native.PARTS == 32 and native.PROGRAM.available()
 scene, camera = random_scene(300, 1, 1), pinhole(70, 90)

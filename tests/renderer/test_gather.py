@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scenes import pinhole, random_scene
+from random_scenes import pinhole, random_scene
 
 from renderer import ArgumentError, gather, rasterize
 from renderer.reference import gather_reference

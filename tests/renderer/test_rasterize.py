@@ -7,7 +7,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from scenes import assert_same_picture, pinhole, random_scene
+from random_scenes import assert_same_picture, pinhole, random_scene
 
 from renderer import ArgumentError, native, rasterize, rasterize_reference
 from renderer.cpp import plain_twins

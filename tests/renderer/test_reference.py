@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scenes import pinhole, random_scene
+from random_scenes import pinhole, random_scene
 
 from renderer.reference import BLUR, project, rasterize_reference, rotations, sh_basis
 
