@@ -1,19 +1,20 @@
 """Milliseconds a frame of the CPU rasterizer, by stage, against its peers and its limit.
 
-    python benchmarks/rasterize.py [--prototype FOLDER] [--heads A.ply B.ply]
+    python benchmarks/rasterize.py [--against CHECKOUT] [--counts N …] [--heads A.ply B.ply]
 
 Scenes are head-like: a shell of flat splats, strands of needles, a haze of floaters, SH degree
 3. Wall is the median on all cores; CPU is the median processor time on one thread, which other
 programs disturb less. ``pixel threads`` is the same picture by one thread a pixel in Warp's own
 language. The limit is what blending would cost if every vector lane met a pixel it changes,
 at the speed measured on splats that cover the whole picture; ``useful`` is the share of the
-blending stage that this is. ``--prototype`` names a folder with an earlier implementation, whose
-frames are drawn in turn with ours and whose CPU time is of all its threads; it draws no depth,
-keeps its picture and prepares its scene beforehand. ``--heads`` adds a 120-frame turntable of
-the union of two real splats.
+blending stage that this is. ``--against`` names a checkout of another commit, whose frames are
+drawn in turn with ours in this process: ``of its wall`` and ``of its CPU`` are medians of ours
+divided by its in the same round. ``--heads`` adds a 120-frame turntable of the union of two real
+splats.
 """
 
 import argparse
+import importlib
 import sys
 import tempfile
 import time
@@ -73,14 +74,17 @@ def head(n: int, seed: int = 0) -> Scene:
     return {name: np.ascontiguousarray(a[order], np.float32) for name, a in scene.items()}
 
 
-def portrait(size: int) -> Camera:
-    """A camera that the head fills to 70 %."""
+def portrait(width: int, height: int) -> Camera:
+    """A camera of whose height the head fills 70 %."""
     around = Bounds(np.zeros(3), 0.68)
-    return orbit(around, [23], elevation=6, width=size, height=size, fov=27)[0]
+    return orbit(around, [23], elevation=6, width=width, height=height, fov=27)[0]
 
 
-def measure(*draws: Callable[[], object], repeats: int = 15) -> list[tuple[float, float]]:
-    """Median wall and processor time of each, ms, drawn in turn, after two rounds to warm up."""
+Times = NDArray[np.float64]
+
+
+def measure(*draws: Callable[[], object], repeats: int = 15) -> tuple[Times, Times]:
+    """Wall and processor time, ms (repeats, draws), drawn in turn, after two rounds to warm up."""
     wall = np.zeros((repeats + 2, len(draws)))
     cpu = np.zeros_like(wall)
     for i in range(repeats + 2):
@@ -89,7 +93,7 @@ def measure(*draws: Callable[[], object], repeats: int = 15) -> list[tuple[float
             draw()
             wall[i, j] = time.perf_counter() - started[0]
             cpu[i, j] = time.process_time() - started[1]
-    return list(zip(*(1e3 * np.median(ms[2:], axis=0) for ms in (wall, cpu)), strict=True))
+    return 1e3 * wall[2:], 1e3 * cpu[2:]
 
 
 def view_of(camera: Camera) -> View:
@@ -103,9 +107,9 @@ def nanoseconds_a_pair() -> float:
     scene["means"][:] *= 0.1
     scene["scales"][:] = 5.0
     scene["opacities"][:] = 0.006
-    camera = portrait(size)
-    [(_, cpu)] = measure(lambda: rasterize(**scene, **vars(camera), threads=1), repeats=5)
-    return 1e6 * cpu * native.stage_shares()["blend"] / (n * size * size)
+    camera = portrait(size, size)
+    _, cpu = measure(lambda: rasterize(**scene, **vars(camera), threads=1), repeats=5)
+    return 1e6 * float(np.median(cpu)) * native.stage_shares()["blend"] / (n * size * size)
 
 
 @wp.kernel
@@ -139,88 +143,74 @@ def useful_pairs(scene: Scene, camera: Camera) -> float:
     """How many (splat, pixel) pairs change a pixel."""
     blend, kernels.blend = kernels.blend, count_pairs
     try:
-        counts, _, _ = portable.render(scene, 3, [view_of(camera)], np.zeros(3), "cpu")
+        counts, _, _ = portable.render(scene, 3, [view_of(camera)], np.zeros(3), 0.0, "cpu")
     finally:
         kernels.blend = blend
     return float(counts[..., 0].sum(dtype=np.float64))
 
 
-def prototype_of(folder: Path) -> Callable[[Scene, Camera], Callable[[], object]]:
-    """What draws a scene with the earlier implementation, which prepares it first."""
-    sys.path.insert(0, str(folder))
-    flags = wp.config.cpu_compiler_flags
-    import v2
-
-    tiles = v2.mk2(16, 64)
-    wp.config.cpu_compiler_flags = flags
-
-    def prepare(scene: Scene, camera: Camera) -> Callable[[], object]:
-        harmonics = scene["sh"].transpose(0, 2, 1)
-        renderer = v2.R2(
-            {
-                "xyz": scene["means"],
-                "q": scene["quats"],
-                "ls": np.log(scene["scales"]),
-                "op": np.log(scene["opacities"] / (1 - scene["opacities"] + 1e-9)),
-                "dc": harmonics[..., 0],
-                "rest": harmonics[..., 1:],
-            },
-            tiles,
-        )
-        view = {
-            "V": camera.viewmat,
-            "C": camera.position,
-            "W": camera.width,
-            "H": camera.height,
-            "fx": camera.K[0, 0],
-            "fy": camera.K[1, 1],
-            "cx": camera.K[0, 2],
-            "cy": camera.K[1, 2],
-        }
-        return lambda: renderer(view)
-
-    return prepare
+def renderer_of(checkout: Path) -> Callable[..., object]:
+    """``rasterize`` of another checkout, compiled, beside ours."""
+    ours = {
+        name: sys.modules.pop(name) for name in [*sys.modules] if name.split(".")[0] == "renderer"
+    }
+    sys.path.insert(0, str(checkout.resolve()))
+    try:
+        theirs = importlib.import_module("renderer")
+        if not importlib.import_module("renderer.native").PROGRAM.available():
+            raise SystemExit(f"the renderer of {checkout} doesn't compile here")
+    finally:
+        sys.path.pop(0)
+        for name in [name for name in sys.modules if name.split(".")[0] == "renderer"]:
+            del sys.modules[name]
+        sys.modules.update(ours)
+    return theirs.rasterize
 
 
 def row(
-    scene: Scene, camera: Camera, pair: float, earlier: list[Callable[[], object]]
+    scene: Scene, camera: Camera, pair: float, theirs: Callable[..., object] | None
 ) -> list[str]:
-    view = vars(camera)
-    (_, slow), (wall, _), *others, (_, cpu) = measure(
-        lambda: portable.render(scene, 3, [view_of(camera)], np.zeros(3), "cpu"), repeats=1
-    ) + measure(
-        lambda: rasterize(**scene, **view), *earlier, lambda: rasterize(**scene, **view, threads=1)
-    )
+    view = {**scene, **vars(camera)}
+    slow = measure(
+        lambda: portable.render(scene, 3, [view_of(camera)], np.zeros(3), 0.0, "cpu"), repeats=1
+    )[1].item()
+    draws = [lambda: rasterize(**view), lambda: rasterize(**view, threads=1)]
+    if theirs:
+        draws = [lambda: theirs(**view), lambda: theirs(**view, threads=1), *draws]
+    walls, cpus = measure(*draws)
+    wall, cpu = np.median(walls[:, -2]), np.median(cpus[:, -1])
     shares = native.stage_shares()
     useful = 1e-6 * pair * useful_pairs(scene, camera) / (cpu * shares["blend"])
-    cells = [f"{len(scene['means'])}", f"{camera.width}", f"{wall:.1f}", f"{cpu:.1f}"]
-    cells += [*(f"{cpu * s:.2f}" for s in shares.values()), f"{useful:.0%}", f"{slow:.0f}"]
-    return cells + [f"{ms:.1f}" for other in others for ms in other]
+    cells = [f"{len(scene['means'])}", f"{camera.width}x{camera.height}"]
+    cells += [f"{wall:.1f}", f"{cpu:.1f}", *(f"{cpu * s:.2f}" for s in shares.values())]
+    cells += [f"{useful:.0%}", f"{slow:.0f}"]
+    if theirs:
+        of_wall, of_cpu = walls[:, 2] / walls[:, 0], cpus[:, 3] / cpus[:, 1]
+        cells += [f"{np.median(of_wall):.2f}", f"{np.median(of_cpu):.2f}"]
+    return cells
 
 
-def table(counts: list[int], prototype: Path | None) -> None:
+def table(counts: list[int], against: Path | None) -> None:
     pair = nanoseconds_a_pair()
     print(f"blending without a wasted lane: {pair:.3f} ns a pair (one thread)\n")
     titles = ["splats", "size", "wall", "CPU", *native.STAGES, "useful", "pixel threads"]
-    print("  ".join(titles + ["earlier wall", "earlier CPU"] * bool(prototype)))
-    earlier = prototype_of(prototype) if prototype else None
+    print("  ".join(titles + ["of its wall", "of its CPU"] * bool(against)))
+    theirs = renderer_of(against) if against else None
     for n in counts:
         scene = head(n)
-        for size in (512, 1024):
-            camera = portrait(size)
-            others = [earlier(scene, camera)] if earlier else []
-            cells = row(scene, camera, pair, others)
+        for width, height in ((512, 512), (1920, 1080)):
+            cells = row(scene, portrait(width, height), pair, theirs)
             print("  ".join(f"{cell:>6}" for cell in cells), flush=True)
 
 
 def twin() -> None:
     """The float64 reference on a scene small enough for it, and the difference."""
     scene = head(2000)
-    camera = portrait(96)
+    camera = portrait(96, 96)
     started = time.perf_counter()
     wanted = rasterize_reference(**scene, **vars(camera))
     seconds = time.perf_counter() - started
-    [(wall, _)] = measure(lambda: rasterize(**scene, **vars(camera)))
+    wall = np.median(measure(lambda: rasterize(**scene, **vars(camera)))[0])
     error = np.abs(rasterize(**scene, **vars(camera))[0] - wanted[0])
     print(f"2000 splats, 96x96: reference {seconds:.1f} s, ours {wall:.2f} ms, ", end="")
     print(f"max difference {error.max():.1e}, pixels above 1e-3: {(error > 1e-3).any(-1).sum()}")
@@ -249,7 +239,7 @@ def turntable(paths: list[Path]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--counts", type=int, nargs="*", default=[20_000, 100_000, 300_000])
-    parser.add_argument("--prototype", type=Path)
+    parser.add_argument("--against", type=Path)
     parser.add_argument("--heads", type=Path, nargs="*")
     options = parser.parse_args()
     started = time.perf_counter()
@@ -259,7 +249,7 @@ def main() -> None:
     if options.heads:
         turntable(options.heads)
     if options.counts:
-        table(options.counts, options.prototype)
+        table(options.counts, options.against)
 
 
 if __name__ == "__main__":

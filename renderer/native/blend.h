@@ -98,6 +98,10 @@ auto write_depths = [&](const Block* rows, int left, int top) {
     }
 };
 
+// Where the rows of blocks of a tile begin: looked up faster than converted.
+float row_offset[ROWS / SIDE];
+for (int r = 0; r < ROWS / SIDE; ++r) row_offset[r] = (float)(SIDE * r);
+
 // One splat over blocks of a tile, of which those are struck out of ``open`` whose pixels are all
 // finished; what it adds to each block's pixels goes to ``add``.
 auto blend_splat = [&](const Splat& s, float left, float top, Block* blocks, Word some, Word& open,
@@ -113,7 +117,7 @@ auto blend_splat = [&](const Splat& s, float left, float top, Block* blocks, Wor
     const Floats y = lane_y + (top - s.y);
     for (; some; some &= some - 1) {
         const int b = __builtin_ctzll(some);
-        const Floats dy = y + (float)(SIDE * (b & 15));
+        const Floats dy = y + row_offset[b & 15];
         const Floats power = across[b >> 4] + (slant[b >> 4] + s.yy * dy) * dy;
         // Far outside, the exponent overflows; such lanes are not taken.
         const Floats alpha = power >= LOG2_ALPHA_MIN ? smaller(exp2(power), all(ALPHA_MAX)) : none;

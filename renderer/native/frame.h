@@ -35,7 +35,7 @@ auto begin_sort = [&]() {
     // A slab hides what is behind it from listing and colouring, but its pixels are kept and
     // fetched again: worth it where splats are many for the pixels.
     const long dense = 8L * state.visible / ((long)view.width * view.height);
-    state.slab_size = state.visible / (dense < 2 ? dense + 1 : 3) + 1;
+    state.slab_size = state.visible / (dense < 2 ? dense + 1 : 3 + dense / 4) + 1;
 };
 
 auto open_tiles = [&]() {
