@@ -269,8 +269,22 @@ def test_rows_are_fitted_rendered_exported_and_measured(pictures: Path, batch: B
     assert "other inputs" not in batch(pairs, *changed, "-o", "out", "-w")[2]
 
 
-def test_workers_make_the_same_bits(pictures: Path, batch: Batch) -> None:
+def test_workers_make_the_same_bits_though_one_is_killed(
+    pictures: Path, batch: Batch, monkeypatch: pytest.MonkeyPatch
+) -> None:
     pytest.importorskip("distributed")
+    import psutil
+
+    note, killed = console.note, []
+
+    def deadly(message: str) -> None:
+        note(message)
+        workers = [one for one in psutil.Process().children() if "spawn_main" in str(one.cmdline())]
+        if message.startswith("1/4 ") and workers:
+            workers[0].kill()
+            killed.append(workers[0])
+
+    monkeypatch.setattr(console, "note", deadly)
     pairs = table(pictures, *MIXED, columns="kind,source,target")
     words = (*ASKED[:2], "--image", "--size 24x24 --convention unit-xy")
     batch(pairs, *words, "-o", "one")
@@ -281,6 +295,7 @@ def test_workers_make_the_same_bits(pictures: Path, batch: Batch) -> None:
     assert "4/4 " in err
     assert "error: d-none: " in err
     assert [row["name"] for row in json.loads(out)["pairs"]] == ["a-b", "d-e", "d-none", "b-c"]
+    assert len(killed) == 1
     assert outputs("one") == outputs("two")
     assert len(outputs("one")) == 8
 
