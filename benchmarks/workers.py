@@ -48,12 +48,13 @@ def main() -> None:
             gains.append(walls[0] / walls[1])
         if gains:
             print(f"\nspeed-up: {', '.join(f'{gain:.2f}' for gain in gains)}\n", flush=True)
-        plain, killed = folder / "plain", folder / "killed"
-        batch.run(plain, [])
-        deaths = batch.killing(killed, asked.kills)
-        print(f"{deaths} workers killed: {compared(plain, killed)}")
-        for one in sorted(folder.glob("[0-9]-[12]")):
-            print(f"{one.name}: {compared(plain, one)}")
+        if asked.kills:
+            plain, killed = folder / "plain", folder / "killed"
+            batch.run(plain, [])
+            deaths = batch.killing(killed, asked.kills)
+            print(f"{deaths} workers killed: {compared(plain, killed)}")
+            for one in sorted(folder.glob("[0-9]-[12]")):
+                print(f"{one.name}: {compared(plain, one)}")
 
 
 class Batch:
