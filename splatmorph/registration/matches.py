@@ -26,10 +26,10 @@ SHARP = 0.06
 """Spread within the window, in radii, at which a match counts half."""
 SHRINK = 0.05
 """Power of σ / WINDOW by which the spread shrinks as σ does."""
-PLAIN, MOST_TRUST = 0.0095, 4.0
+PLAIN = 0.0095
 """Mean distinctness of matches on grey skin: where pictures tell more, the field may bend more, by
-the square of the ratio and at most so many times. Chosen on persons 0 and 1, james → p2-1, and
-p2-1 and status, twisted and swollen."""
+the square of the ratio. Chosen on persons 0 and 1, james → p2-1, and p2-1 and status, twisted and
+swollen."""
 FEW = 1300
 """Samples that are matched in the widest window."""
 NEIGHBOURS = 8
@@ -50,6 +50,8 @@ class Schedule:
     """Of the spline field."""
     held: float = 0.1
     """Total weight of the pairs that are given."""
+    trusting: float = 1.0
+    """Most by which bending is made easier where pictures tell much."""
     wide: int = 0
     """Rounds in which few samples are matched in the widest window before."""
 
@@ -64,9 +66,10 @@ FREE = Schedule(
     planes=(0.003, 0.1),
     bending=(2e-4, 2e-5),
     centers=(120, 300),
+    trusting=4.0,
 )
 """For two surfaces that nearly lie on each other."""
-FROM_AFAR = replace(FREE, wide=14)
+FROM_AFAR = replace(FREE, sigmas=(0.25, 0.22, *FREE.sigmas), looks_anew=(0, 2, 4, 6), wide=10)
 """For a pose that was found by search."""
 WIDE = Schedule(
     sigmas=(WINDOW,),
@@ -74,10 +77,14 @@ WIDE = Schedule(
     planes=(0.003, 0.02),
     bending=(2e-4, 5e-5),
     centers=(120, 200),
+    trusting=4.0,
 )
 """Before it: what a bend or a turn has taken out of sight comes into it as its neighbours move."""
-HELD = replace(FREE, planes=(0.02, 0.1), bending=(6e-5, 2e-5))
-"""Where pairs are given: a face's, or landmarks'."""
+HELD = replace(FREE, planes=(0.02, 0.1), bending=(6e-5, 2e-5), trusting=1.0)
+"""Where landmarks are given."""
+FACES = replace(HELD, planes=(0.02, 0.2), held=0.01)
+"""Where points of faces are: a start that surfaces mend. Chosen on james → p2-1 and a swollen
+status."""
 
 
 class Partners(NamedTuple):
@@ -169,7 +176,7 @@ class _State:
         if anew:
             self.looks = self.fixed + LOOKS * self._compare(here, there)
         self.partners = ahead, back = self._matches(here, there, sigma)
-        trust = min(MOST_TRUST, max(1.0, (_distinct(self.partners) / PLAIN) ** 2)) ** done
+        trust = max(1.0, min(schedule.trusting, (_distinct(self.partners) / PLAIN) ** 2)) ** done
         count = len(a) + len(b)
         pairs = Pairs(
             torch.cat([a.points, flow(self.node, back.mean, -0.5)]),

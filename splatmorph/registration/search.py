@@ -21,7 +21,7 @@ from splatmorph.registration.cleaning import without_floaters
 from splatmorph.registration.face_network import find_model, load_network
 from splatmorph.registration.faces import FoundFace, find_face
 from splatmorph.registration.gaps import Gap, gap_between
-from splatmorph.registration.matches import FREE, FROM_AFAR, HELD, Matched, Schedule, match
+from splatmorph.registration.matches import FACES, FREE, FROM_AFAR, HELD, Matched, Schedule, match
 from splatmorph.registration.pose import find_poses
 from splatmorph.registration.regression import Pairs, flow
 from splatmorph.registration.subject import Subject, prepare
@@ -232,7 +232,7 @@ class _Search:
 
     def by_faces(self, faces: _FacePairs, warnings: list[str]) -> Found:
         """Faces give the pose and hold the flow; surfaces find the rest."""
-        flowing = self._held(faces.p, faces.q)
+        flowing = self._held(faces.p, faces.q, FACES)
         whole = confidence.of_faces(faces.confidence, flowing.gap)
         p = flowing.source.to_unit(faces.p).float()
         carried = flowing.to_world(1, flow(flowing.node, p, 1.0))
@@ -246,7 +246,7 @@ class _Search:
 
     def by_landmarks(self, p: Tensor, q: Tensor, names: tuple[str, ...]) -> Found:
         """Given landmarks hold the flow."""
-        flowing = self._held(p, q)
+        flowing = self._held(p, q, HELD)
         sure = torch.ones(len(p), dtype=torch.float64)
         whole = confidence.of_faces(sure, flowing.gap)
         surface = flowing.landmarks(self.count, whole)
@@ -268,7 +268,7 @@ class _Search:
         poses = find_poses(source, target, as_is)
         best = poses[0].similarity
         schedule = FREE if best is as_is else FROM_AFAR
-        self.steps += schedule.wide
+        self.steps += schedule.wide + len(schedule.sigmas) - len(FREE.sigmas)
         flowing = self._flowing(source.posed(best), target, schedule, None)
         sure, doubts = confidence.of_surfaces(poses, flowing.matched.distinct, flowing.gap)
         nothing = torch.zeros(0, 3, dtype=torch.float64)
@@ -280,12 +280,12 @@ class _Search:
             [*warnings, *doubts],
         )
 
-    def _held(self, p: Tensor, q: Tensor) -> _Flowing:
+    def _held(self, p: Tensor, q: Tensor, schedule: Schedule) -> _Flowing:
         source, target = self._subjects()
         unit_p, unit_q = source.to_unit(p), target.to_unit(q)
         pose = similarity_between(unit_p, unit_q)
         held = Pairs(pose(unit_p).float(), unit_q.float(), torch.ones(len(p)))
-        return self._flowing(source.posed(pose), target, HELD, held)
+        return self._flowing(source.posed(pose), target, schedule, held)
 
     def _subjects(self) -> tuple[Subject, Subject]:
         made = []
