@@ -9,10 +9,14 @@ from typing import TypeVar
 Item = TypeVar("Item")
 
 
-def ahead(items: Iterable[Item], beside: Callable[[Item], bool] | None = None) -> Iterator[Item]:
+LARGE = 1 << 28
+"""Bytes of an item beside which no other is made: using and making it keep all cores busy."""
+
+
+def ahead(items: Iterable[Item], size: Callable[[Item], int] | None = None) -> Iterator[Item]:
     """The same items in the same order, each made while the one before it is used.
 
-    Where ``beside`` says no to an item, none is made as long as it is used, to save the memory.
+    None is made beside one whose ``size`` in bytes is ``LARGE``, to save the memory.
     What making one raises, comes through in its turn. Whoever stops early waits for at most one
     item that is being made.
     """
@@ -21,12 +25,12 @@ def ahead(items: Iterable[Item], beside: Callable[[Item], bool] | None = None) -
         # What is taken out, and deleted below, isn't held while another is made.
         coming = [thread.submit(_next, iterator)]
         while found := coming.pop().result():
-            waits = beside is not None and not beside(*found)
-            if not waits:
+            alone = size is not None and size(*found) > LARGE
+            if not alone:
                 coming.append(thread.submit(_next, iterator))
             yield from found
             del found
-            if waits:
+            if alone:
                 coming.append(thread.submit(_next, iterator))
 
 

@@ -55,9 +55,6 @@ gather = _with_our_errors(renderer.gather)
 orbit = _with_our_errors(renderer.orbit)
 rasterize = _with_our_errors(renderer.rasterize)
 
-LARGE = 1 << 28
-"""Bytes of a splat beside which no other is made: drawing and making it keep all cores busy."""
-
 SWING = 40.0
 """Degrees to each side that a turntable of a morph swings: heads from one picture have no back."""
 
@@ -96,10 +93,10 @@ def pictures(
 ) -> Iterator[NDArray[np.uint8]]:
     """The picture of each splat before its camera, as ``render`` makes it, in order.
 
-    The next splat is made while this one is drawn, unless that is ``LARGE``; one that stands
+    The next splat is made while this one is drawn, unless that is large; one that stands
     before several cameras, one after the other, is prepared once.
     """
-    coming = ahead(_all_arrays(splats), beside=_is_small)
+    coming = ahead(_all_arrays(splats), size=_bytes)
     for camera in cameras:
         (arrays,) = islice(coming, 1)
         picture = _picture(arrays, camera, background, device)
@@ -107,8 +104,8 @@ def pictures(
         yield picture
 
 
-def _is_small(arrays: Arrays) -> bool:
-    return sum(array.nbytes for array in arrays) <= LARGE
+def _bytes(arrays: Arrays) -> int:
+    return sum(array.nbytes for array in arrays)
 
 
 def _all_arrays(splats: Iterable[Gaussians]) -> Iterator[Arrays]:

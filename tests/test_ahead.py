@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from splatmorph.ahead import ahead
+from splatmorph.ahead import LARGE, ahead
 
 
 def test_order_and_items_are_the_same() -> None:
@@ -61,5 +61,5 @@ def test_nothing_is_made_beside_what_is_large_until_that_is_gone() -> None:
             assert gone == list(range(number))
             yield Large(number)
 
-    coming = ahead(items(), beside=lambda _: False)
+    coming = ahead(items(), size=lambda _: LARGE + 1)
     assert [next(coming).number for _ in range(4)] == [0, 1, 2, 3]

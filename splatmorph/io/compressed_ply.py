@@ -18,7 +18,7 @@ from splatmorph.errors import ReadError
 from splatmorph.gaussians import Gaussians
 from splatmorph.geometry.harmonics import SH0
 from splatmorph.io.axes import vertical_comments
-from splatmorph.io.elements import Columns, write_elements
+from splatmorph.io.elements import Columns, Rows, write_elements
 from splatmorph.io.packed import (
     Array,
     drop_largest,
@@ -120,11 +120,11 @@ def write_compressed_ply(
     vertex["packed_rotation"] = _join(rest / np.sqrt(2) + 0.5, QUAT_BITS) | index << 30
     vertex["packed_scale"] = _join(bounded["packed_scale"][1], XYZ_BITS)
     vertex["packed_color"] = _join(np.concatenate(colour, axis=1), RGBA_BITS)
-    elements: dict[str, NDArray[Any]] = {"chunk": _records(chunk, names), "vertex": vertex}
+    elements = {"chunk": Rows.of(_records(chunk, names)), "vertex": Rows.of(vertex)}
     if gaussians.sh_degree > 0:
         rounded = np.floor((sh[:, 1:] / (2 * SH_RANGE) + 0.5) * 256).clip(0, 255).astype("u1")
         table = np.ascontiguousarray(rounded.transpose(0, 2, 1)).reshape(len(gaussians), -1)
-        elements["sh"] = _records(table, [f"f_rest_{i}" for i in range(table.shape[1])])
+        elements["sh"] = Rows.of(_records(table, [f"f_rest_{i}" for i in range(table.shape[1])]))
     write_elements(path, elements, [*vertical_comments(gaussians), *comments])
 
 

@@ -26,7 +26,7 @@ from splatmorph.io.dialects import (
     finite_logits,
     translated,
 )
-from splatmorph.io.elements import Columns, read_elements, write_elements
+from splatmorph.io.elements import Columns, Rows, read_elements, write_elements
 from splatmorph.io.layout import read_layout
 from splatmorph.io.offsets import with_offset, without_offset
 
@@ -42,6 +42,9 @@ EXTRA_TYPES: dict[Any, np.dtype[Any]] = {
     np.dtype("u4"): np.dtype("f8"),
 }
 
+
+PART = 1 << 15
+"""Splats that are put into a file's order at a time."""
 
 BLOCK = 2048
 """Splats whose properties, which lie together in a file, fit a core's cache."""
@@ -136,7 +139,12 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
         WriteError: see :func:`splatmorph.io.write`.
     """
     header = [*vertical_comments(gaussians), *comments]
-    write_elements(path, {"vertex": _records(gaussians)}, header)
+    # All of them, since their types depend on all.
+    means = with_offset(gaussians)
+    slices = [slice(begin, begin + PART) for begin in range(0, max(1, len(gaussians)), PART)]
+    parts = (_records(gaussians.select(part), means[part]) for part in slices)
+    dtype = _records(gaussians.select(slice(1)), means[:1]).dtype
+    write_elements(path, {"vertex": Rows(dtype, len(gaussians), parts)}, header)
 
 
 def ply_size(gaussians: Gaussians) -> int:
@@ -147,12 +155,11 @@ def ply_size(gaussians: Gaussians) -> int:
     )
 
 
-def _records(gaussians: Gaussians) -> NDArray[np.void]:
+def _records(gaussians: Gaussians, means: NDArray[Any]) -> NDArray[np.void]:
     per_channel = gaussians.sh.shape[1] - 1
     rest = [f"f_rest_{i}" for i in range(3 * per_channel)]
     names = [*MEANS, *NORMALS, *COLOUR, *rest, "opacity", *SCALES, *QUATS]
     extras = {name: value.cpu().numpy() for name, value in gaussians.extras.items()}
-    means = with_offset(gaussians)
     own = {name: means[:, i] for i, name in enumerate(MEANS) if means.dtype != np.float32}
     own |= {name: value for name, value in extras.items() if name not in NORMALS}
     n = len(gaussians)

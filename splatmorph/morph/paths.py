@@ -24,7 +24,7 @@ from splatmorph.steady import one_thread
 KNOTS = 8
 """Moments a unit of t at which centers and shapes are worked out."""
 
-BLOCK = 1 << 13
+BLOCK = 1 << 12
 """Splats whose Jacobians are held at a time."""
 
 TURN = 32767

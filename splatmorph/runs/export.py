@@ -95,7 +95,7 @@ def export_sequence(
     left = [i for i in range(len(times)) if i not in done]
     coming = [times[i] for i in left]
     morph.prepare(coming, on_prepare)
-    frames = ahead(morph.sequence(coming))
+    frames = ahead(morph.sequence(coming), size=ply_size)
     written: dict[int, dict[str, float]] = {}
     for count, i in enumerate(left):
         # Not kept here while the next but one is made, which may have its memory.
@@ -163,10 +163,12 @@ def export_animation(
 
     def frames() -> Iterator[Gaussians]:
         nonlocal plain
-        for done, frame in enumerate(morph.sequence(times), 1):
+        made = ahead(morph.sequence(times), size=ply_size)
+        for done in range(1, 1 + len(times)):
+            frame = next(made)
             plain += ply_size(frame)
-            held = io.FORMATS[io.extension_of(path)].held(upright(frame, up) if up else frame)
-            yield held
+            yield io.FORMATS[io.extension_of(path)].held(upright(frame, up) if up else frame)
+            del frame  # or the next but one couldn't have its memory
             if on_frame is not None:
                 on_frame(done)
 

@@ -6,12 +6,14 @@ import errno
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement
 from plys import stored_columns, write_columns
 from refusals import refused
@@ -19,6 +21,7 @@ from refusals import refused
 from splatmorph import io
 from splatmorph.errors import LocalFrameError, OptionError, WriteError
 from splatmorph.gaussians import UPS, Gaussians
+from splatmorph.io import elements
 from splatmorph.io.atomic import atomic_write
 from splatmorph.io.ply import read_properties
 
@@ -260,10 +263,12 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(
     io.write(path, make_gaussians(5))
     before = path.read_bytes()
 
-    def full(*_: object) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
+    def full(records: NDArray[Any]) -> bytes:
+        if len(records) == 9:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return records.tobytes()
 
-    monkeypatch.setattr(PlyData, "write", full)
+    monkeypatch.setattr(elements, "_bytes", full)
     with pytest.raises(WriteError, match="disk is full"):
         io.write(path, make_gaussians(9))
     assert path.read_bytes() == before
