@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatmorph.avatars.stand_ins import as_array
@@ -89,6 +88,8 @@ def _at_vertices(chosen: Tensor, vertices: Tensor) -> Landmarks:
 
 
 def _covered(vertices: Tensor, faces: Tensor, gaussians: Gaussians) -> Tensor:
+    from scipy.spatial import cKDTree
+
     edges = vertices[faces[:, 1]] - vertices[faces[:, 0]]
     reach = NEAR_EDGES * float(torch.linalg.vector_norm(edges, dim=1).median())
     visible = gaussians.means[gaussians.opacities > VISIBLE].double()

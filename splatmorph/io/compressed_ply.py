@@ -7,7 +7,7 @@ component and keep 10 bits of the others; harmonics above degree 0 are bytes ove
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +42,7 @@ SH_RANGE = 4.0
 HIGHEST_DEGREE = 3
 
 
-def is_compressed(elements: Mapping[str, Columns]) -> bool:
+def is_compressed(elements: Mapping[str, Collection[str]]) -> bool:
     """Whether a PLY file with these elements is a compressed splat."""
     return "packed_position" in elements.get("vertex", {})
 

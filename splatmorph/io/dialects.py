@@ -8,7 +8,7 @@ the way to a file that does.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +38,7 @@ class Dialect:
     name: str
     writers: str
     """Who writes it."""
-    spoken: Callable[[Columns], bool]
+    spoken: Callable[[Collection[str]], bool]
     """Whether these properties are in it."""
     translated: Callable[[Columns], Columns]
     """The same splat in Inria's properties."""
@@ -95,19 +95,19 @@ DIALECTS = (
     Dialect(
         "colours as red, green, blue",
         "nerfstudio's ns-export --ply-color-mode rgb",
-        lambda columns: "f_dc_0" not in columns and set(RGB) <= set(columns),
+        lambda names: "f_dc_0" not in names and set(RGB) <= set(names),
         _coloured_by_rgb,
     ),
     Dialect(
         "flat splats of two scales",
         "2D Gaussian Splatting and what builds on it",
-        lambda columns: "scale_1" in columns and "scale_2" not in columns,
+        lambda names: "scale_1" in names and "scale_2" not in names,
         _thickened,
     ),
     Dialect(
         "a 3D smoothing filter beside the scales",
         "Mip-Splatting, Gaussian Opacity Fields, RaDe-GS",
-        lambda columns: "filter_3D" in columns,
+        lambda names: "filter_3D" in names,
         _smoothed,
     ),
 )
@@ -151,9 +151,9 @@ STRANGE_FILES = {
 """What files with these extensions are, and how to come from them to one we read."""
 
 
-def dialects_of(columns: Columns) -> tuple[Dialect, ...]:
+def dialects_of(names: Collection[str]) -> tuple[Dialect, ...]:
     """The dialects of ``DIALECTS`` that a file's properties are in; none for Inria's own."""
-    return tuple(dialect for dialect in DIALECTS if dialect.spoken(columns))
+    return tuple(dialect for dialect in DIALECTS if dialect.spoken(names))
 
 
 def translated(columns: Columns, path: str | Path) -> Columns:

@@ -79,10 +79,11 @@ def ply_layout(path: str | Path) -> str:
     Raises:
         ReadError: the file is missing, empty, truncated or no PLY.
     """
-    elements = read_elements(path)
+    elements = {one.name: dict(one.fields) for one in read_layout(Path(path)).elements}
+    properties = elements.get("vertex", {})
     if is_compressed(elements):
         return "compressed PLY of SuperSplat"
-    spoken = dialects_of(elements.get("vertex", {}))
+    spoken = dialects_of(properties)
     if (Path(path).parent / DEFORMATION).is_file():
         return f"PLY of a splat of many moments, read where {DEFORMATION} beside it moves nothing"
     names = [f"{dialect.name} ({dialect.writers})" for dialect in spoken]

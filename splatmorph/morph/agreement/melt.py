@@ -11,11 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph.agreement.neighbours import Neighbours, nearest
+from splatmorph.morph.agreement.neighbours import Neighbours, nearest, tree_of
 
 SOLID = 0.3
 """Opacity from which a splat is part of a surface."""
@@ -45,7 +44,7 @@ class Surface:
     def __init__(self, gaussians: Gaussians) -> None:
         means = gaussians.means.double().numpy(force=True)
         self._points = means[(gaussians.opacities > SOLID).numpy(force=True)]
-        self._tree = cKDTree(self._points) if len(self._points) >= SHEET else None
+        self._tree = tree_of(self._points) if len(self._points) >= SHEET else None
 
     def near(self, points: np.ndarray) -> np.ndarray:
         """The mean of the solid splats nearest to points (n, 3); the points where none are."""
@@ -102,7 +101,7 @@ def _way(
         mean = around.means(torch.cat([step, alone], 1))
         step, alone = mean[:, :3], mean[:, 3:]
     if len(held):
-        away = cKDTree(held.double().numpy(force=True)).query(points, workers=-1)[0]
+        away = tree_of(held.double().numpy(force=True)).query(points, workers=-1)[0]
         away = torch.from_numpy(away / (HELD * radius)).float()
         step = step * (1 - torch.exp(-0.5 * away**2))[:, None]
     return step, alone[:, 0]

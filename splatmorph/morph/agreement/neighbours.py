@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
 from splatmorph.gaussians import Gaussians
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 COUNT = 24
 """Neighbours of a splat, itself among them."""
@@ -21,10 +25,17 @@ FAINT = 0.05
 """What a neighbour weighs beyond its opacity."""
 
 
+def tree_of(points: Points) -> cKDTree:
+    """What knows the nearest of points (n, 3); loaded when it is needed, since it takes long."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
+
+
 def nearest(tree: cKDTree, points: Points, count: int) -> tuple[Points, Index]:
     """Distances and indices (n, count) of what is nearest in ``tree`` to points (n, 3)."""
     # Asked one beside the other, what a point visits is in the cache for the next.
-    order = cKDTree(points).indices
+    order = tree_of(points).indices
     distance, index = np.empty((len(points), count)), np.empty((len(points), count), np.int64)
     found = tree.query(points[order], list(range(1, count + 1)), workers=-1)
     distance[order], index[order] = found
@@ -42,7 +53,7 @@ class Neighbours:
     def __init__(self, gaussians: Gaussians, points: Tensor | None = None) -> None:
         means = gaussians.means.double().numpy(force=True)
         at = means if points is None else points.double().numpy(force=True)
-        distance, index = nearest(cKDTree(means), at, min(COUNT, len(means)))
+        distance, index = nearest(tree_of(means), at, min(COUNT, len(means)))
         self.index = torch.from_numpy(index)
         near = distance / (distance[:, -1:] / 1.5 + 1e-12)
         weights = torch.from_numpy(np.exp(-0.5 * near**2)).float()
