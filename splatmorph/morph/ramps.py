@@ -21,6 +21,7 @@ from torch.nn.functional import logsigmoid
 
 from splatmorph.gaussians import FAINTEST_DRAWN, Gaussians
 from splatmorph.morph.native.fade import Fade
+from splatmorph.steady import one_thread
 
 DENSEST = 0.99
 """Renderers draw no splat more opaque than this."""
@@ -132,6 +133,7 @@ def _all_weights() -> Tensor:
     return torch.stack([_best_gaussians(k / WEIGHTS) for k in range(1, WEIGHTS)])
 
 
+@one_thread()  # to wake others costs more than the work
 def _best_gaussians(weight: float) -> Tensor:
     """a/α and k of ``calibrated``, and a/α for 1 - w, for α = 0 … DENSEST: (STEPS + 1, 3) float64.
 
