@@ -15,8 +15,8 @@ SURE, FAIR, DOUBTED = 0.7, 0.45, 0.44
 """Confidence from which a search is sure and fairly sure, and the most where it is doubted."""
 NEIGHBOURS = 50
 """Samples whose matches speak for a point among them."""
-HALF_SURE = 0.03
-"""Radii by which matches miss the flow where a point counts half."""
+HALF_SURE, SCATTER = 0.015, 1 / 8
+"""Radii by which matches miss the flow where a point counts half; what their scatter adds to it."""
 UNLIKE = 14.0
 """Score of a pose from which two splats look so unlike that surfaces alone give a start only;
 read off five heads, their warps and ten ICT persons."""
@@ -27,16 +27,16 @@ ALONE, TELLING = 0.06, 0.008
 def of_points(points: Tensor, partners: Partners, whole: float) -> Tensor:
     """(n,) how sure each sample's landmark is: the geometric mean of ``whole``, that of the whole
     search, and of how well the flow follows the matches round it, which miss it by their common
-    part, as far as they are distinct, and by half of what they scatter.
+    part, as far as they are distinct, and by a little of what they scatter.
 
-    Chosen on james → p2-1, persons 1 and a p2-1 whose face is shrunk.
+    Chosen on james → p2-1, persons 1, a p2-1 whose face is shrunk and the sample head of the tests.
     """
     near = cKDTree(points.numpy()).query(points.numpy(), min(NEIGHBOURS, len(points)))[1]
     offset, sure = (
         one.double()[torch.from_numpy(near)] for one in (partners.offset, partners.sure)
     )
     common = (offset * sure[..., None]).sum(1) / (sure.sum(1, keepdim=True) + 1e-4 * near.shape[1])
-    miss = common.norm(dim=1) + offset.norm(dim=2).mean(1) / 2
+    miss = common.norm(dim=1) + SCATTER * offset.norm(dim=2).mean(1)
     return (whole / (1 + (miss / HALF_SURE).square())).sqrt()
 
 

@@ -82,9 +82,9 @@ WIDE = Schedule(
 """Before it: what a bend or a turn has taken out of sight comes into it as its neighbours move."""
 HELD = replace(FREE, planes=(0.02, 0.1), bending=(6e-5, 2e-5), trusting=1.0)
 """Where landmarks are given."""
-FACES = replace(HELD, planes=(0.02, 0.2), held=0.01)
-"""Where points of faces are: a start that surfaces mend. Chosen on james → p2-1 and a swollen
-status."""
+FACES = replace(HELD, planes=(0.02, 0.2))
+"""Where points of faces are; their surfaces may count more. Chosen on james → p2-1 and a swollen
+status, where a ``held`` of 0.01 is better still: not so between james and status."""
 
 
 class Partners(NamedTuple):
