@@ -136,7 +136,10 @@ def _picture(
     if background is None:
         rgb = np.where(alpha[..., None] > 0, rgb / np.maximum(alpha, 1e-8)[..., None], 0)
         rgb = np.concatenate([rgb, alpha[..., None]], axis=-1)
-    return np.asarray(np.clip(rgb * 255 + 0.5, 0, 255).astype(np.uint8))
+    # In place: what the system hands out anew for each frame costs more than the sums.
+    rgb *= 255
+    rgb += 0.5
+    return np.asarray(np.clip(rgb, 0, 255, out=rgb).astype(np.uint8))
 
 
 @one_thread()  # others would spin for a while, and take a core from the rasterizer
