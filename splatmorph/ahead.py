@@ -16,7 +16,7 @@ LARGE = 1 << 28
 def ahead(items: Iterable[Item], size: Callable[[Item], int] | None = None) -> Iterator[Item]:
     """The same items in the same order, each made while the one before it is used.
 
-    None is made beside one whose ``size`` in bytes is ``LARGE``, to save the memory.
+    None is made beside one of a ``size`` above ``LARGE`` bytes, to save the memory.
     What making one raises, comes through in its turn. Whoever stops early waits for at most one
     item that is being made.
     """

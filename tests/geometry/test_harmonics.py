@@ -90,3 +90,12 @@ def test_no_splats_and_no_view_dependence_need_no_rotation() -> None:
     assert rotate_sh(torch.zeros(0, 16, 3), torch.zeros(0, 3, 3)).shape == (0, 16, 3)
     flat = torch.randn(5, 1, 3)
     assert rotate_sh(flat, rotations(5)) is flat
+
+
+@pytest.mark.parametrize("degree", [1, 2, 3, 4])
+def test_one_rotation_for_all_is_the_same_for_each(degree: int) -> None:
+    sh = torch.randn(9, (degree + 1) ** 2, 3, generator=torch.Generator().manual_seed(degree))
+    turn = rotations(1)[0].to(sh)
+    torch.testing.assert_close(
+        rotate_sh(sh, turn), rotate_sh(sh, turn.expand(9, 3, 3)), atol=1e-5, rtol=1e-5
+    )

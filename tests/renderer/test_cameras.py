@@ -16,6 +16,7 @@ from renderer import (
     look_at,
     orbit,
 )
+from renderer.cameras import ENOUGH
 
 SPHERE = Bounds(np.array([1.0, 2.0, -3.0]), 0.7)
 
@@ -113,6 +114,17 @@ def test_bounds_take_tensors_and_ignore_what_is_not_seen():
     assert bounds_of(means[5:6], opacities[5:6], scales[5:6]).radius == pytest.approx(0.02)
     with pytest.raises(ArgumentError, match="nothing to frame"):
         bounds_of(means, torch.zeros(len(means)), scales)
+
+
+def test_bounds_of_very_many_are_those_of_some():
+    rng = np.random.default_rng(0)
+    means = rng.normal(size=(2 * ENOUGH + 7, 3)).astype(np.float32)
+    alphas, scales = np.full(len(means), 0.5), np.full((len(means), 3), 0.01)
+    many, some = (
+        bounds_of(means[part], alphas[part], scales[part]) for part in (slice(None), slice(ENOUGH))
+    )
+    assert np.abs(many.center - some.center).max() < 0.02 * many.radius
+    assert many.radius == pytest.approx(some.radius, rel=0.02)
 
 
 def test_bounds_of_real_heads_hold_them(shared_data):
