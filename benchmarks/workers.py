@@ -41,8 +41,11 @@ def main() -> None:
         pairs = pairs[: asked.pairs]
         batch = Batch(write_table(folder, pairs), asked.size, len(pairs))
         print(f"{len(pairs)} pairs, {os.cpu_count()} cores\n")
-        print("| workers | wall, s | own CPU, s | others' CPU, s |\n|---|---|---|---|", flush=True)
         gains = []
+        if asked.rounds:
+            print(
+                "| workers | wall, s | own CPU, s | others' CPU, s |\n|---|---|---|---|", flush=True
+            )
         for number in range(asked.rounds):
             walls = [batch.timed(folder / f"{number}-{workers}", workers) for workers in (1, 2)]
             gains.append(walls[0] / walls[1])
