@@ -20,6 +20,8 @@ from splatmorph.geometry.similarity import Similarity
 from splatmorph.landmarks import Landmarks
 from splatmorph.metrics import landmark_mse
 
+# Other tests have flows of their own, which may be known by now.
+OURS = [name for name, kind in KINDS.items() if kind.__module__.startswith("splatmorph.")]
 TRAINED = (
     {"kind": "node", "field": "siren", "width": 16},
     {"kind": "ncf", "width": 8, "layers": 3},
@@ -79,7 +81,7 @@ def test_displacement_meets_its_landmarks_at_every_time(dim: int) -> None:
     assert report.mse < 1e-20
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", OURS)
 def test_report_is_json(kind: str) -> None:
     flow = make_flow(kind)
     report = fit(flow, *pair(8), FitConfig(steps=1))
