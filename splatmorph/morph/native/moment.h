@@ -70,7 +70,8 @@ for (long p = count * part / parts; p < end; p += LANES) {
     const int lanes = end - p < LANES ? (int)(end - p) : LANES;
     between(given.means, 3, lanes, p, given.means_out + p * 3);
     between(given.quats, 4, lanes, p, given.quats_out + p * 4);
-    if (given.log_scales.knots) between(given.log_scales, 3, lanes, p, given.log_scales_out + p * 3);
+    if (given.log_scales.knots)
+        between(given.log_scales, 3, lanes, p, given.log_scales_out + p * 3);
     float turn[LANES * 4];
     for (int i = 0; i < LANES * 4; ++i) turn[i] = i % 4 == 0;
     between(given.turns, 4, lanes, p, turn);
