@@ -34,40 +34,31 @@ auto pick = [&](const float* rows, int stride) -> Floats {
     return v;
 };
 
+// One step of a transposition: between vectors so far apart, swap the lanes so far apart.
+auto swap_lanes = [&](Floats* v, auto apart) {
+    constexpr int d = apart();
+    // Of a the lanes without the bit d, of b those with it; from there d lanes on, or none.
+    constexpr auto from = [](int k, int on) { return (k & d ? LANES + k - d : k) + on; };
+    for (int i = 0; i < LANES; ++i) {
+        if (i & d) continue;
+        const Floats a = v[i], b = v[i + d];
+        v[i] = __builtin_shufflevector(a, b, from(0, 0), from(1, 0), from(2, 0), from(3, 0),
+                                       from(4, 0), from(5, 0), from(6, 0), from(7, 0), from(8, 0),
+                                       from(9, 0), from(10, 0), from(11, 0), from(12, 0),
+                                       from(13, 0), from(14, 0), from(15, 0));
+        v[i + d] = __builtin_shufflevector(a, b, from(0, d), from(1, d), from(2, d), from(3, d),
+                                           from(4, d), from(5, d), from(6, d), from(7, d),
+                                           from(8, d), from(9, d), from(10, d), from(11, d),
+                                           from(12, d), from(13, d), from(14, d), from(15, d));
+    }
+};
+
 // Sixteen vectors as the columns of what they were the rows of.
 auto transpose = [&](Floats* v) {
-    for (int i = 0; i < LANES; ++i)
-        if (!(i & 8)) {
-            const Floats a = v[i], b = v[i + 8];
-            v[i] = __builtin_shufflevector(a, b, 0, 1, 2, 3, 4, 5, 6, 7, 16, 17, 18, 19, 20, 21, 22,
-                                           23);
-            v[i + 8] = __builtin_shufflevector(a, b, 8, 9, 10, 11, 12, 13, 14, 15, 24, 25, 26, 27,
-                                               28, 29, 30, 31);
-        }
-    for (int i = 0; i < LANES; ++i)
-        if (!(i & 4)) {
-            const Floats a = v[i], b = v[i + 4];
-            v[i] = __builtin_shufflevector(a, b, 0, 1, 2, 3, 16, 17, 18, 19, 8, 9, 10, 11, 24, 25,
-                                           26, 27);
-            v[i + 4] = __builtin_shufflevector(a, b, 4, 5, 6, 7, 20, 21, 22, 23, 12, 13, 14, 15, 28,
-                                               29, 30, 31);
-        }
-    for (int i = 0; i < LANES; ++i)
-        if (!(i & 2)) {
-            const Floats a = v[i], b = v[i + 2];
-            v[i] = __builtin_shufflevector(a, b, 0, 1, 16, 17, 4, 5, 20, 21, 8, 9, 24, 25, 12, 13,
-                                           28, 29);
-            v[i + 2] = __builtin_shufflevector(a, b, 2, 3, 18, 19, 6, 7, 22, 23, 10, 11, 26, 27, 14,
-                                               15, 30, 31);
-        }
-    for (int i = 0; i < LANES; ++i)
-        if (!(i & 1)) {
-            const Floats a = v[i], b = v[i + 1];
-            v[i] = __builtin_shufflevector(a, b, 0, 16, 2, 18, 4, 20, 6, 22, 8, 24, 10, 26, 12, 28,
-                                           14, 30);
-            v[i + 1] = __builtin_shufflevector(a, b, 1, 17, 3, 19, 5, 21, 7, 23, 9, 25, 11, 27, 13,
-                                               29, 15, 31);
-        }
+    swap_lanes(v, [] { return 8; });
+    swap_lanes(v, [] { return 4; });
+    swap_lanes(v, [] { return 2; });
+    swap_lanes(v, [] { return 1; });
 };
 
 // Natural logarithm, relative error 1e-7 (Cephes' polynomial on [sqrt(1/2), sqrt(2))).
