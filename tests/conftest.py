@@ -9,11 +9,6 @@ from pathlib import Path
 # The inputs of tests are small: a second thread waits longer than it works, the more so where
 # other processes want the core. What is to be the same for one and more sets their number.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-if hasattr(os, "sched_setaffinity") and "PYTEST_XDIST_WORKER" in os.environ:
-    _cores = sorted(os.sched_getaffinity(0))
-    if int(os.environ["PYTEST_XDIST_WORKER_COUNT"]) >= len(_cores):
-        _number = int(os.environ["PYTEST_XDIST_WORKER"].removeprefix("gw"))
-        os.sched_setaffinity(0, {_cores[_number % len(_cores)]})
 
 import pytest
 from splats import random_gaussians

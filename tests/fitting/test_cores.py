@@ -37,7 +37,7 @@ for kind in sorted(KINDS):
     for options in [{"field": field} for field in FIELDS] if kind == "node" else [{}]:
         flow = make_flow(kind, **options)
         domain = points(1000, 3, 2)
-        report = fit(flow, Landmarks(p), Landmarks(q), FitConfig(steps=3), domain=domain)
+        report = fit(flow, Landmarks(p), Landmarks(q), FitConfig(steps=7), domain=domain)
         show("-".join([kind, *options.values()]), *flow.state_dict().values())
         print(kind, repr(report.mse), repr(report.det_min), repr(report.energy_second))
 print(torch.get_num_threads())

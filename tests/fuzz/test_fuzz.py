@@ -60,7 +60,7 @@ def test_what_once_did_harm_is_refused_in_a_line(
 
 
 def test_mutations_are_read_or_refused_in_a_line(tmp_path: Path) -> None:
-    # Some 6 000 where the machine is quick.
-    limits = ("--count", 6_000, "--minutes", 0.12)
+    # Some 12 000 where the machine is quick.
+    limits = ("--count", 12_000, "--minutes", 0.25)
     result = _python("-m", "tests.fuzz", *limits, "--seed", 1, "--out", tmp_path / "out")
     assert result.returncode == 0, result.stdout + result.stderr[-2000:]

@@ -16,7 +16,7 @@ QUICK = ("fit", "export", "gif", "still")
 def test_commands_that_are_stopped_or_have_no_room_leave_nothing_broken() -> None:
     only = [part for name in QUICK for part in ("--only", name)]
     done = subprocess.run(
-        [sys.executable, "-m", "tests.fuzz.kills", "--count", "4", "--seed", "3", *only],
+        [sys.executable, "-m", "tests.fuzz.kills", "--count", "8", "--seed", "3", *only],
         cwd=Path(__file__).parents[2],
         env={**os.environ, "OMP_NUM_THREADS": "1"},
         capture_output=True,
@@ -25,4 +25,4 @@ def test_commands_that_are_stopped_or_have_no_room_leave_nothing_broken() -> Non
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr[-2000:]
-    assert done.stdout == "4 disturbed, 0 wrong (seed 3)\n"
+    assert done.stdout == "8 disturbed, 0 wrong (seed 3)\n"

@@ -137,7 +137,7 @@ def paths_through(knots: int, **sizes: int) -> dict[str, Path]:
     paths = {}
     for name, size in sizes.items():
         start = (torch.arange(size) == 0).float().expand(COUNT, size)
-        paths[name] = Path(start, start + 0.3 * normal(knots, COUNT, size, seed=size).float())
+        paths[name] = Path(start, start + 0.5 * normal(knots, COUNT, size, seed=size).float())
     turns = paths["turns"]
     return paths | {"turns": Path(TURN * turns.start, (TURN / 4 * turns.knots).short())}
 
