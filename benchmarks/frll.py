@@ -117,9 +117,7 @@ def main() -> None:
 def compare(asked: argparse.Namespace, folder: Path) -> None:
     """Fit the pairs into ``folder`` and print."""
     faces = read_faces(asked.faces)
-    pairs = list(itertools.combinations(faces, 2))
-    random.Random(0).shuffle(pairs)
-    pairs = pairs[: asked.pairs]
+    pairs = draw_pairs(faces, asked.pairs)
     eyes = Eyes(
         Canvas(*map(int, asked.size.split("x"))),
         asked.lpips_weights and Lpips.load(asked.lpips_weights),
@@ -173,6 +171,13 @@ def read_faces(folder: Path) -> list[Face]:
         distinct &= set(np.unique(face.points.round(3), axis=0, return_index=True)[1].tolist())
     kept = sorted(distinct)
     return [Face(face.picture, face.points[kept]) for face in found]
+
+
+def draw_pairs(faces: Sequence[Face], count: int) -> list[tuple[Face, Face]]:
+    """So many of all pairs, the same each time."""
+    pairs = list(itertools.combinations(faces, 2))
+    random.Random(0).shuffle(pairs)
+    return pairs[:count]
 
 
 def write_table(folder: Path, pairs: Sequence[tuple[Face, Face]]) -> Path:

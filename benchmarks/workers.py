@@ -11,7 +11,6 @@ again, and a plain process does it: pictures are compared bit for bit. Prints Ma
 from __future__ import annotations
 
 import argparse
-import itertools
 import os
 import random
 import subprocess
@@ -22,7 +21,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
-from frll import read_faces, write_table
+from frll import draw_pairs, read_faces, write_table
 
 
 def main() -> None:
@@ -36,9 +35,7 @@ def main() -> None:
     asked = parser.parse_args()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        pairs = list(itertools.combinations(read_faces(asked.faces), 2))
-        random.Random(0).shuffle(pairs)
-        pairs = pairs[: asked.pairs]
+        pairs = draw_pairs(read_faces(asked.faces), asked.pairs)
         batch = Batch(write_table(folder, pairs), asked.size, len(pairs))
         print(f"{len(pairs)} pairs, {os.cpu_count()} cores\n")
         gains = []
