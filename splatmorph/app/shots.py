@@ -13,7 +13,6 @@ from splatmorph.app.options import Times, Viewpoint, check_reach, frame_times
 from splatmorph.avatars import Drive, is_avatar, track_of
 from splatmorph.errors import OptionError
 from splatmorph.gaussians import Gaussians
-from splatmorph.morph import Chain, Morph
 from splatmorph.rendering import SWING, bounds, turntable, upright
 from splatmorph.runs.inputs import load_splat
 from splatmorph.runs.run import open_run
@@ -46,7 +45,7 @@ def shot_of(
         return Shot(iter([splat] * count), (splat,), SWING)
     times = frame_times(t, count, len(inputs) - 1)
     # In the source's place the object stays before the camera, wherever the captures stand.
-    morph = _in_place(run.morph(inputs, stay=True, **blending))
+    morph = run.morph(inputs, stay=True, **blending).in_place()
     extent = tuple(morph.sequence(range(len(inputs))))
     if drive is None:
         console.prepare(morph, times)
@@ -59,10 +58,6 @@ def shot_of(
     driven = Drive(avatars[0], avatars[1], leg.flow, track, **blending)
     console.prepare(driven, times)
     return Shot(driven.sequence(times), extent, SWING)
-
-
-def _in_place(morph: Morph | Chain) -> Morph | Chain:
-    return morph.in_place() if isinstance(morph, Morph) else morph
 
 
 def sheet_of(
@@ -106,7 +101,7 @@ def sheet_of(
         times = [start + (end - start) * i / (SHEET_COLUMNS - 1) for i in range(SHEET_COLUMNS)]
     else:
         times = list(t.values)
-    morph = _in_place(run.morph(inputs, stay=True, **blending))
+    morph = run.morph(inputs, stay=True, **blending).in_place()
     around = cameras(inputs[0].gaussians, *morph.sequence(range(len(inputs))))
     console.prepare(morph, times)
     return contact_sheet(morph, times, around, background=paper, parts=parts, device=device)

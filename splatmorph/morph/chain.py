@@ -66,6 +66,10 @@ class Chain:
         for leg, own in self._by_leg(times)[1].items():
             self.morphs[leg].prepare(own, on_step)
 
+    def in_place(self) -> Chain:
+        """The chain itself: of two legs neither can let go of the splat between them."""
+        return self
+
     def _by_leg(self, times: Sequence[float]) -> tuple[list[int], dict[int, list[float]]]:
         """On which leg each of ``times`` is, and the times of each leg from its own start."""
         check_times(times)
